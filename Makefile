@@ -1,0 +1,91 @@
+# One virtual environment, .venv, filled in stages; each stage leaves a stamp, so a second run does nothing.
+# ARGS goes to the command:  make demo ARGS="--vehicles 5 --headless"
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+UV_VERSION := 0.13.9
+ARGS ?=
+
+.PHONY: help demo test lint bench docs requirements clean
+
+help:
+	@echo "make demo          router, services and simulated vehicles on this machine"
+	@echo "make test          lint, documentation, tests"
+	@echo "make lint          ruff and mypy"
+	@echo "make docs          the documentation into site/"
+	@echo "make bench         speed and tightness"
+	@echo "make requirements  pin anew from pyproject.toml (ARGS=--upgrade: newest versions)"
+	@echo "make clean         remove everything that make has made, $(VENV) too"
+
+demo: $(VENV)/.project
+	@$(BIN)/fleet demo $(ARGS)
+
+test: lint docs
+	@$(BIN)/python -m pytest -q $(ARGS)
+
+lint: $(VENV)/.dev
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check --quiet .
+	@$(BIN)/mypy --strict --no-error-summary
+
+docs: $(VENV)/.dev
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
+
+bench: $(VENV)/.dev
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+# The first python that is new enough and can make a virtual environment; PYTHON=... overrides.
+$(VENV)/.python:
+	@for python in $(or $(PYTHON),python3.11 python3.12 python3.13 python3.14 python3); do \
+	    if "$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	        echo "making $(VENV) with $$("$$python" --version)"; \
+	        "$$python" -m venv $(VENV); \
+	        touch $@; \
+	        exit 0; \
+	    fi; \
+	done; \
+	echo "No Python >= 3.11 with venv found. Install one (Debian: python3 python3-venv)" \
+	    "or name it: make PYTHON=/path/to/python3.11" >&2; \
+	exit 1
+
+$(VENV)/.runtime: requirements/runtime.txt | $(VENV)/.python
+	@echo "installing $<"
+	@$(PIP) install --require-hashes -r $<
+	@touch $@
+
+# Every package carries a py.typed: a new package is installed too.
+$(VENV)/.project: pyproject.toml $(VENV)/.runtime $(wildcard */py.typed)
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.dev: requirements/dev.txt $(VENV)/.project
+	@echo "installing $<"
+	@$(PIP) install --require-hashes -r $<
+	@touch $@
+
+# The smaller sets take their versions from dev.txt, so that all three agree.
+COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest \
+    --generate-hashes --no-emit-index-url --no-emit-find-links \
+    --custom-compile-command "make requirements" --group build pyproject.toml
+# uv does not read pip's settings: hand it the mirror that pip would use.
+requirements: $(VENV)/.python
+	@$(PIP) install uv==$(UV_VERSION)
+	@if [ -n "$${PIP_INDEX_URL:-}" ]; then export UV_DEFAULT_INDEX="$$PIP_INDEX_URL"; fi; \
+	mkdir -p requirements; \
+	$(COMPILE) $(ARGS) --extra dev -o requirements/dev.txt; \
+	$(COMPILE) $(ARGS) --extra agent --extra server --extra dashboard \
+	    --constraints requirements/dev.txt -o requirements/runtime.txt; \
+	$(COMPILE) $(ARGS) --extra agent --constraints requirements/dev.txt -o requirements/agent.txt; \
+	if grep -nE '://|index-url|find-links' requirements/*.txt; then \
+	    echo "an address got into requirements/" >&2; exit 1; \
+	fi
+
+clean:
+	rm -rf $(VENV) site build dist *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
