@@ -1,0 +1,219 @@
+"""``StateSample``: one filtered state and the input in force from it on, all numbers in one bin."""
+
+import struct
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet_bus import codec
+from fleet_bus.errors import MessageError
+
+SCHEMA: Final = "fleet.state"
+VERSION: Final = 1
+ENCODING: Final = codec.encoding(SCHEMA, VERSION)
+MAX_BYTES: Final = 4096
+
+#: epoch, seq, t (ns), flags, n, m, plan steps, reserved (zero), padding to a multiple of 8
+_HEADER: Final = struct.Struct("<QQqIHHHHxxxx")
+_HEADER_DTYPE: Final = np.dtype(
+    [("epoch", "<u8"), ("seq", "<u8"), ("t", "<i8"), ("flags", "<u4"), ("n", "<u2"), ("m", "<u2"), ("plan", "<u2"),
+     ("reserved", "<u2"), ("pad", "V4")]
+)  # fmt: skip
+
+
+class StateFlag(IntFlag):
+    """What a sample says about itself."""
+
+    NONE = 0
+    INPUT_MISSING = 1  #: no input is known from this sample on (``u`` is zero and must not be used)
+    NEW_TRAJECTORY = 2  #: this sample does not follow from the one before it
+    BOUND = 4  #: the sample carries its own bound of the state's error
+    HISTORY = 8  #: recorded before this start of the agent: fills windows, gets no tube
+
+
+_ALL_FLAGS: Final = 0b1111
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateSample:
+    """State ``x`` (n) at time ``t`` and input ``u`` (m) in force from ``t`` on.
+
+    Attributes:
+        epoch: id of this start of the agent; ``(epoch, seq)`` names the sample.
+        seq: counts samples of one epoch from 0; a gap means lost samples.
+        t: sample time, nanoseconds since the Unix epoch.
+        x: filtered state, units of the profile.
+        u: input in force from ``t`` on, units of the profile.
+        flags: see ``StateFlag``.
+        bound: half-widths (n) of the error of ``x``, or None if the profile's bound holds.
+        plan: inputs (steps, m) the vehicle intends after ``u``, or None (no steps are sent as none).
+        plan_tolerance: half-widths (m) around the plan.
+    """
+
+    epoch: int
+    seq: int
+    t: int
+    x: NDArray[np.float64]
+    u: NDArray[np.float64]
+    flags: StateFlag = StateFlag.NONE
+    bound: NDArray[np.float64] | None = None
+    plan: NDArray[np.float64] | None = None
+    plan_tolerance: NDArray[np.float64] | None = None
+
+    def encode(self) -> bytes:
+        """Payload of this sample (encoding ``fleet.state.v1``)."""
+        flags = int(self.flags) & ~int(StateFlag.BOUND)
+        parts = [self.x, self.u]
+        if self.bound is not None:
+            flags |= int(StateFlag.BOUND)
+            parts.append(self.bound)
+        steps = 0
+        if self.plan is not None and len(self.plan):
+            steps = len(self.plan)
+            tolerance = np.zeros(len(self.u)) if self.plan_tolerance is None else self.plan_tolerance
+            parts += [self.plan.ravel(), tolerance]
+        header = _HEADER.pack(self.epoch, self.seq, self.t, flags, len(self.x), len(self.u), steps, 0)
+        return codec.pack({"d": header + codec.to_bin(np.concatenate(parts))})
+
+    @classmethod
+    def decode(cls, payload: bytes, encoding: str = ENCODING) -> Self:
+        """Read one payload; raise ``MessageError`` with the reason if it is not a sound sample."""
+        codec.check_encoding(encoding, SCHEMA, VERSION)
+        fields = codec.unpack(payload, limit=MAX_BYTES)
+        codec.check_fields(fields, {"d": bytes})
+        raw: bytes = fields["d"]
+        if len(raw) < _HEADER.size:
+            raise MessageError("shape", f"bin of {len(raw)} bytes is shorter than its header of {_HEADER.size}")
+        epoch, seq, t, flags, n, m, steps, reserved = _HEADER.unpack_from(raw)
+        if reserved or flags & ~_ALL_FLAGS or t <= 0:
+            raise MessageError("range", f"reserved {reserved}, flags {flags:#x}, t {t} ns")
+        has_bound = bool(flags & StateFlag.BOUND)
+        counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
+        if len(raw) != _HEADER.size + 8 * sum(counts):
+            raise MessageError("shape", f"bin of {len(raw)} bytes, header says n={n} m={m} plan={steps}")
+        numbers = np.frombuffer(raw, dtype="<f8", offset=_HEADER.size)
+        if not np.isfinite(numbers).all():
+            raise MessageError("not_finite", "state, input, bound or plan holds NaN or an infinity")
+        x, u, bound, plan, tolerance = np.split(numbers, np.cumsum(counts)[:-1])
+        if (bound < 0).any() or (tolerance < 0).any():
+            raise MessageError("range", "a bound or tolerance is negative")
+        return cls(
+            epoch, seq, t, x, u, StateFlag(flags),
+            bound if has_bound else None,
+            plan.reshape(steps, m) if steps else None,
+            tolerance if steps else None,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateBatch:
+    """Samples of equal layout as arrays: ``index`` (B,) says which of the payloads given each row is.
+
+    ``bound`` is (B, n), ``plan`` (B, steps, m) and ``plan_tolerance`` (B, m), or None where no sample carries one.
+    """
+
+    index: NDArray[np.intp]
+    epoch: NDArray[np.uint64]
+    seq: NDArray[np.uint64]
+    t: NDArray[np.int64]
+    flags: NDArray[np.uint32]
+    x: NDArray[np.float64]
+    u: NDArray[np.float64]
+    bound: NDArray[np.float64] | None
+    plan: NDArray[np.float64] | None
+    plan_tolerance: NDArray[np.float64] | None
+
+
+def decode_states(
+    payloads: Sequence[bytes], encodings: Sequence[str]
+) -> tuple[list[StateBatch], list[tuple[int, MessageError]]]:
+    """Read many payloads at once: batches of equal layout, and ``(index, error)`` of every one refused.
+
+    Payloads of equal length and header are joined and read by one ``frombuffer``; when a batch holds
+    anything doubtful, its members are read one by one to find the culprit.
+    """
+    groups: defaultdict[tuple[str, int, bytes], list[int]] = defaultdict(list)
+    for index, (payload, encoding) in enumerate(zip(payloads, encodings, strict=True)):
+        # flags, n, m and plan steps stand at fixed places of the bin: bytes 24 to 40
+        head = _bin_offset(payload)
+        layout = payload[head + 24 : head + _HEADER.size] if head else b""
+        groups[encoding, len(payload), layout].append(index)
+    batches: list[StateBatch] = []
+    refused: list[tuple[int, MessageError]] = []
+    for (encoding, _, _), members in groups.items():
+        batch = _decode_equal([payloads[i] for i in members], encoding, np.array(members))
+        if batch is not None:
+            batches.append(batch)
+            continue
+        for index in members:
+            try:
+                batches.append(_batch_of_one(StateSample.decode(payloads[index], encoding), index))
+            except MessageError as error:
+                refused.append((index, error))
+    return batches, refused
+
+
+def _bin_offset(payload: bytes) -> int:
+    """Offset of the bin's first byte if the payload starts as ``encode`` writes it, else 0."""
+    if payload[:3] != b"\x81\xa1d" or len(payload) < 4:
+        return 0
+    return {0xC4: 5, 0xC5: 6}.get(payload[3], 0)
+
+
+def _decode_equal(payloads: list[bytes], encoding: str, index: NDArray[np.intp]) -> StateBatch | None:
+    """Batch of payloads of equal length and layout, or None if anything about them is doubtful."""
+    first = payloads[0]
+    head = _bin_offset(first)
+    if encoding != ENCODING or not head or not head + _HEADER.size <= len(first) <= MAX_BYTES:
+        return None
+    body = len(first) - head - _HEADER.size
+    _, _, _, flags, n, m, steps, reserved = _HEADER.unpack_from(first, head)
+    has_bound = bool(flags & StateFlag.BOUND)
+    counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
+    if reserved or flags & ~_ALL_FLAGS or body != 8 * sum(counts):
+        return None
+    layout = np.dtype([("head", f"V{head}"), ("header", _HEADER_DTYPE), ("numbers", "<f8", (sum(counts),))])
+    rows = np.frombuffer(b"".join(payloads), dtype=layout)
+    header, numbers = rows["header"], rows["numbers"]
+    heads_equal = np.array_equal(rows["head"], np.broadcast_to(rows["head"][0], rows["head"].shape))
+    _, _, bound, plan, tolerance = parts = np.split(numbers, np.cumsum(counts)[:-1], axis=1)
+    declared = int.from_bytes(first[4:head], "big")
+    sound = (
+        heads_equal
+        and declared == body + _HEADER.size
+        and np.isfinite(numbers).all()
+        and (header["t"] > 0).all()
+        and (bound >= 0).all()
+        and (tolerance >= 0).all()
+    )
+    if not sound:
+        return None
+    return StateBatch(
+        index, header["epoch"], header["seq"], header["t"], header["flags"], parts[0], parts[1],
+        bound if has_bound else None,
+        plan.reshape(-1, steps, m) if steps else None,
+        tolerance if steps else None,
+    )  # fmt: skip
+
+
+def _batch_of_one(sample: StateSample, index: int) -> StateBatch:
+    def row(array: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        return None if array is None else array[None]
+
+    return StateBatch(
+        np.array([index]),
+        np.array([sample.epoch], dtype=np.uint64),
+        np.array([sample.seq], dtype=np.uint64),
+        np.array([sample.t], dtype=np.int64),
+        np.array([int(sample.flags)], dtype=np.uint32),
+        sample.x[None],
+        sample.u[None],
+        row(sample.bound),
+        row(sample.plan),
+        row(sample.plan_tolerance),
+    )

@@ -1,0 +1,174 @@
+"""Sessions: who opens without a router, who waits, and what is said when none answers."""
+
+import socket
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from fleet_bus.errors import SessionError, UsageError
+from fleet_bus.pubsub import Received, declare_alive, declare_cached_publisher, subscribe, watch_alive
+from fleet_bus.router import Router
+from fleet_bus.sessions import Role, check_endpoint, open_session
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    """An endpoint where nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    with Router(["tcp/127.0.0.1:0"]) as running:
+        yield running
+
+
+@pytest.mark.parametrize("role", [Role.SERVICE, Role.VIEWER])
+def test_client_without_router_says_how_to_get_one(role: Role, free_endpoint: str) -> None:
+    start = time.monotonic()
+    with pytest.raises(SessionError) as refused:
+        open_session(role, [free_endpoint], timeout=0.2)
+    assert time.monotonic() - start < 1.0
+    assert str(refused.value) == (
+        f"no router answers at {free_endpoint}: start one with `fleet router`, or name the right one with --router"
+    )
+
+
+def test_client_takes_the_first_router_that_answers(free_endpoint: str, router: Router) -> None:
+    with open_session(Role.SERVICE, [free_endpoint, *router.endpoints]) as session:
+        assert len(list(session.info.routers_zid())) == 1
+
+
+def test_client_waits_for_a_router_that_is_late(free_endpoint: str) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(open_session, Role.SERVICE, [free_endpoint], timeout=5.0)
+        with pytest.raises(TimeoutError):
+            opening.result(timeout=0.2)
+        with Router([free_endpoint]), opening.result(timeout=3.0) as session:
+            assert list(session.info.routers_zid())
+
+
+def test_a_port_that_accepts_and_is_mute_costs_no_more_than_the_timeout() -> None:
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        start = time.monotonic()
+        with pytest.raises(SessionError, match="no router answers"):
+            open_session(Role.SERVICE, [f"tcp/127.0.0.1:{mute.getsockname()[1]}"], timeout=0.5)
+        assert time.monotonic() - start < 2.0
+
+
+def test_agent_opens_at_once_without_router_and_connects_when_one_comes(free_endpoint: str) -> None:
+    start = time.monotonic()
+    with open_session(Role.AGENT, [free_endpoint]) as agent:
+        assert time.monotonic() - start < 0.5
+        assert not list(agent.info.routers_zid())
+        with Router([free_endpoint]):
+            wait_until(lambda: list(agent.info.routers_zid()), timeout=2.0)
+
+
+def test_agent_listens_to_nobody(router: Router) -> None:
+    with (
+        open_session(Role.AGENT, router.endpoints) as first,
+        open_session(Role.AGENT, router.endpoints) as second,
+    ):
+        wait_until(lambda: list(first.info.routers_zid()) and list(second.info.routers_zid()))
+        assert not list(first.info.peers_zid())
+        assert not list(second.info.peers_zid())
+
+
+def test_agent_hears_services_but_not_other_agents(router: Router) -> None:
+    heard: list[str] = []
+    with (
+        open_session(Role.AGENT, router.endpoints) as agent,
+        open_session(Role.AGENT, router.endpoints) as other,
+        open_session(Role.SERVICE, router.endpoints) as service,
+        subscribe(agent, "**", lambda sample: heard.append(sample.key)),
+    ):
+        wait_until(lambda: list(other.info.routers_zid()))
+        wait_until(lambda: len(heard) >= 20, meanwhile=lambda: (other.put("a", b""), service.put("b", b"")))
+    assert set(heard) == {"b"}
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "",
+        "nonsense",
+        "tcp/127.0.0.1",
+        "tcp/host:abc",
+        "tcp/127.0.0.1:65536",
+        "tcp/:7447",
+        "xyz/a:1",
+        "127.0.0.1:7447",
+    ],
+)
+@pytest.mark.parametrize("role", list(Role))
+def test_malformed_endpoint_is_refused_by_name(role: Role, endpoint: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        open_session(role, [endpoint])
+    assert repr(endpoint) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/localhost:7447",
+        "tcp/[::]:7447",
+        "tls/router.example.org:7447",
+        "quic/[fe80::1%eth0]:7447",
+        "tcp/127.0.0.1:7447#so_sndbuf=65000",
+        "unixsock-stream//run/fleet.sock",
+    ],
+)
+def test_endpoint_that_zenoh_understands_is_kept(endpoint: str) -> None:
+    assert check_endpoint(endpoint) == endpoint
+
+
+@pytest.mark.parametrize("namespace", ["", "site/*", "/site", "site//lab"])
+def test_malformed_namespace_is_refused(namespace: str) -> None:
+    with pytest.raises(UsageError, match="is not a namespace"):
+        open_session(Role.AGENT, [], namespace=namespace)
+
+
+def test_namespace_is_invisible_inside_and_separates_outside(router: Router) -> None:
+    inside: list[Received] = []
+    outside: list[Received] = []
+    with (
+        open_session(Role.SERVICE, router.endpoints, namespace="site/lab") as here,
+        open_session(Role.SERVICE, router.endpoints) as everywhere,
+        open_session(Role.AGENT, router.endpoints, namespace="site/lab") as agent,
+        subscribe(here, "fleet/*/state", inside.append),
+        subscribe(everywhere, "**", outside.append),
+        declare_cached_publisher(agent, "fleet/a/state", "text/plain", cache=1) as publisher,
+    ):
+        wait_until(lambda: inside and outside, meanwhile=lambda: publisher.put(b"x"))
+    assert inside[0].key == "fleet/a/state"
+    assert outside[0].key == "site/lab/fleet/a/state"
+
+
+@pytest.mark.parametrize("role", [Role.SERVICE, Role.VIEWER])
+def test_session_comes_back_with_its_declarations_after_an_outage(role: Role) -> None:
+    received: list[Received] = []
+    seen: list[tuple[str, bool]] = []
+    with Router(["tcp/127.0.0.1:0"]) as router:
+        endpoints = router.endpoints
+        listener = open_session(role, endpoints)
+        agent = open_session(Role.AGENT, endpoints)
+        subscriber = subscribe(listener, "fleet/*/state", received.append)
+        watcher = watch_alive(listener, "fleet/*/alive", lambda key, alive: seen.append((key, alive)))
+        publisher = declare_cached_publisher(agent, "fleet/a/state", "text/plain", cache=1)
+        token = declare_alive(agent, "fleet/a/alive")
+        wait_until(lambda: received and seen, meanwhile=lambda: publisher.put(b"before"))
+    wait_until(lambda: seen[-1] == ("fleet/a/alive", False))
+    with Router(endpoints), listener, agent, subscriber, watcher, publisher, token:
+        wait_until(lambda: received[-1].payload == b"after", meanwhile=lambda: publisher.put(b"after"))
+        wait_until(lambda: seen[-1] == ("fleet/a/alive", True))
+        assert seen == [("fleet/a/alive", alive) for alive in (True, False, True)]
