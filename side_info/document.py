@@ -1,0 +1,120 @@
+"""The fields of a scenario document, checked one by one; what they mean together is for ``scenario``."""
+
+import re
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from fleet_bus.keys import ID_PATTERN
+from fleet_bus.units import seconds
+from side_info.yaml_text import Path, YamlText
+
+_INSTANT: Final = re.compile(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)")
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,31}$")]
+Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+def instant_ns(text: str) -> int:
+    """Nanoseconds since the Unix epoch of an RFC 3339 instant; raise ``ValueError`` for anything else."""
+    match = _INSTANT.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r:.40} is no RFC 3339 instant: write one such as 2026-05-01T12:00:00Z")
+    date, time, fraction, zone = match.groups()
+    moment = datetime.fromisoformat(f"{date}T{time}{'+00:00' if zone in 'Zz' else zone}")
+    nanoseconds = (moment - _EPOCH) // timedelta(seconds=1) * 10**9 + int((fraction or "").ljust(9, "0"))
+    if not 0 < nanoseconds < 2**63:
+        raise ValueError(f"{text!r:.40} lies outside of what can be told: expected 1970 to 2262")
+    return nanoseconds
+
+
+def _zero(value: object) -> int | None:
+    if value == "on_start":
+        return None
+    if isinstance(value, str):
+        return instant_ns(value)
+    raise ValueError("expected on_start or an RFC 3339 instant such as 2026-05-01T12:00:00Z")
+
+
+def _sampled(value: object) -> object:
+    if value == "continuous":
+        raise ValueError("'continuous' is not supported in this version: expected sampled")
+    return value
+
+
+def _as_text(value: object) -> object:
+    return {"text": value} if isinstance(value, str) else value
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class TimeFields(_Part):
+    """``zero`` is nanoseconds since the Unix epoch, or None: each vehicle's start."""
+
+    zero: Annotated[int | None, BeforeValidator(_zero)]
+    semantics: Annotated[Literal["sampled"], BeforeValidator(_sampled)] = "sampled"
+
+
+class DiscFields(_Part):
+    """Center (two states) and radius."""
+
+    center: Annotated[dict[Name, float], Field(min_length=2, max_length=2)]
+    radius: Annotated[float, Field(gt=0)]
+
+
+class RegionFields(_Part):
+    """A box (bounds of states), a disc, or the text of a formula."""
+
+    box: Annotated[dict[Name, Bounds], Field(min_length=1)] | None = None
+    disc: DiscFields | None = None
+    text: str | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if sum(form is not None for form in (self.box, self.disc, self.text)) != 1:
+            raise ValueError("expected one of box, disc and text")
+        return self
+
+
+class ScenarioFields(_Part):
+    """A scenario document, field by field."""
+
+    scenario: Annotated[str, Field(pattern=f"^{ID_PATTERN.pattern}$")]
+    version: Annotated[int, Field(ge=1)]
+    state: Annotated[dict[Name, Annotated[str, Field(max_length=16)]], Field(min_length=1, max_length=32)]
+    time: TimeFields
+    parameters: dict[Name, Annotated[float, BeforeValidator(seconds)]] = Field(default_factory=dict)
+    regions: dict[Name, Annotated[RegionFields, BeforeValidator(_as_text)]] = Field(default_factory=dict)
+    assume: str
+    monitor: dict[Name, str] = Field(default_factory=dict)
+
+
+def read_fields(document: YamlText) -> ScenarioFields:
+    """Fields of a document; raise ``ScenarioError`` at the first that is missing, unknown or malformed."""
+    try:
+        return ScenarioFields.model_validate(document.fields)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        path: Path = tuple(problem["loc"])
+        kind = problem["type"]
+        if kind == "missing":
+            raise document.error(path[:-1], f"the key {path[-1]!r} is missing") from None
+        if kind == "extra_forbidden":
+            raise document.error(
+                path,
+                f"unknown key {str(path[-1])[:40]!r}: expected one of {', '.join(_allowed(path))}",
+                key=True,
+            ) from None
+        message = problem["msg"].removeprefix("Value error, ")
+        name = ".".join(str(part) for part in path if part != "[key]") or "the document"
+        raise document.error(path, f"{name:.80}: {message}", key=path[-1:] == ("[key]",)) from None
+
+
+def _allowed(path: Path) -> list[str]:
+    models: dict[tuple[Any, int], type[_Part]] = {("time", 2): TimeFields, ("regions", 3): RegionFields}
+    model = DiscFields if len(path) == 4 else models.get((path[0], len(path)), ScenarioFields)
+    return list(model.model_fields)

@@ -1,0 +1,234 @@
+"""The side-info service on a real router."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zenoh
+
+from fleet_bus import keys
+from fleet_bus.errors import KeyIdError
+from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateFlag, StateSample
+from fleet_bus.messages.state import ENCODING
+from fleet_bus.pubsub import (
+    CachedPublisher,
+    Received,
+    declare_cached_publisher,
+    declare_recovering_subscriber,
+    watch_alive,
+)
+from fleet_bus.router import Router
+from fleet_bus.sessions import Role, open_session
+from side_info import Scenario, ScenarioError
+from side_info.service import SideInfoService
+from tests.side_info.corpus import DOCUMENT
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.integration
+
+LOT = Scenario.parse(DOCUMENT)
+PLANNED = Scenario.parse(DOCUMENT.replace("lot", "planned").replace("on_start", '"2026-05-01T12:00:00Z"'))
+PLANNED_ZERO = 1777636800 * 10**9
+NEW, HISTORY, NONE = StateFlag.NEW_TRAJECTORY, StateFlag.HISTORY, StateFlag.NONE
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    with Router(["tcp/127.0.0.1:0"]) as running:
+        yield running
+
+
+@pytest.fixture
+def session(router: Router) -> Iterator[zenoh.Session]:
+    with open_session(Role.SERVICE, router.endpoints) as opened:
+        yield opened
+
+
+@pytest.fixture
+def agent(router: Router) -> Iterator[zenoh.Session]:
+    with open_session(Role.AGENT, router.endpoints) as opened:
+        wait_until(lambda: list(opened.info.routers_zid()))
+        yield opened
+
+
+@pytest.fixture
+def viewer(router: Router) -> Iterator[zenoh.Session]:
+    with open_session(Role.VIEWER, router.endpoints) as opened:
+        yield opened
+
+
+@contextmanager
+def running(service: SideInfoService) -> Iterator[None]:
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        run = pool.submit(service.run, stop)
+        try:
+            yield
+        finally:
+            stop.set()
+        run.result(5.0)
+
+
+@contextmanager
+def listening(session: zenoh.Session, key: str) -> Iterator[Callable[[], Received]]:
+    """Next sample on ``key``, also of publishers that were or come later."""
+    arrived: queue.Queue[Received] = queue.Queue()
+    with declare_recovering_subscriber(session, key, arrived.put, history=10, late_publishers=True):
+        yield lambda: arrived.get(timeout=5.0)
+
+
+def publisher(session: zenoh.Session, vehicle: str) -> CachedPublisher:
+    return declare_cached_publisher(session, keys.state(vehicle), ENCODING, cache=100)
+
+
+def put(publisher: CachedPublisher, *samples: tuple[int, StateFlag]) -> None:
+    for t, flags in samples:
+        publisher.put(StateSample(1, t, t, np.zeros(2), np.zeros(0), flags).encode())
+
+
+def assignment(received: Received) -> tuple[str, str, int]:
+    found = Assignment.decode(received.payload, received.encoding)
+    assert received.key == keys.assignment(found.scenario, found.vehicle)
+    return found.scenario, found.vehicle, found.time_zero
+
+
+def test_documents_are_published_as_they_were_written(session: zenoh.Session, viewer: zenoh.Session) -> None:
+    with running(SideInfoService(session, [LOT, PLANNED], {}, "a")), listening(viewer, keys.ALL_DOCUMENTS) as get:
+        received = [get(), get()]
+    documents = {r.key: ScenarioDocument.decode(r.payload, r.encoding) for r in received}
+    assert documents == {
+        keys.document(s.name): ScenarioDocument(scenario=s.name, version=1, text=s.text) for s in (LOT, PLANNED)
+    }
+
+
+def test_a_service_that_starts_late_learns_the_start_from_the_cache(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session
+) -> None:
+    with publisher(agent, "svea1") as states, listening(viewer, keys.ALL_ASSIGNMENTS) as get:
+        put(states, (100, NEW | HISTORY), (200, HISTORY), (1000, NEW), (1050, NONE), (1100, NONE))
+        with running(SideInfoService(session, [LOT], {"*": "lot"}, "a")):
+            assert assignment(get()) == ("lot", "svea1", 1000)
+
+
+def test_a_new_trajectory_moves_time_zero(session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session) -> None:
+    service = SideInfoService(session, [LOT], {"svea1": "lot"}, "a", clock_offset=0.02)
+    with publisher(agent, "svea1") as states, listening(viewer, keys.ALL_ASSIGNMENTS) as get, running(service):
+        put(states, (1000, NEW), (1050, NONE))
+        first = get()
+        assert Assignment.decode(first.payload).clock_offset == 0.02
+        assert assignment(first) == ("lot", "svea1", 1000)
+        put(states, (2000, NEW), (2050, NONE))
+        assert assignment(get()) == ("lot", "svea1", 2000)
+
+
+def test_a_start_that_was_missed_is_fetched_from_the_vehicle(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session
+) -> None:
+    # With so short a history the service is where it is with a vehicle that connects later.
+    service = SideInfoService(session, [LOT], {"*": "lot"}, "a", history=1)
+    with publisher(agent, "svea1") as states, listening(viewer, keys.ALL_ASSIGNMENTS) as get:
+        put(states, (1000, NEW), (1050, NONE))
+        with running(service):
+            assert assignment(get()) == ("lot", "svea1", 1000)
+
+
+def test_without_a_start_the_first_sample_stands_in(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session
+) -> None:
+    service = SideInfoService(session, [LOT], {"*": "lot"}, "a")
+    status = keys.service_status("side-info", "a")
+    with (
+        publisher(agent, "svea1") as states,
+        listening(viewer, keys.ALL_ASSIGNMENTS) as get,
+        listening(viewer, status) as get_status,
+    ):
+        put(states, (900, HISTORY), (1000, NONE), (1050, NONE))
+        with running(service):
+            assert assignment(get()) == ("lot", "svea1", 1000)
+            wait_until(lambda: ServiceStatus.decode(get_status().payload).gauges["starts_not_seen"] == 1)
+
+
+def test_a_scenario_with_an_instant_needs_no_sample_of_a_vehicle_that_is_named(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session
+) -> None:
+    assign = {"svea1": "planned", "*": "planned", "svea2": "lot"}
+    with listening(viewer, keys.ALL_ASSIGNMENTS) as get, running(SideInfoService(session, [LOT, PLANNED], assign, "a")):
+        assert assignment(get()) == ("planned", "svea1", PLANNED_ZERO)
+        with publisher(agent, "svea3") as states, publisher(agent, "svea2") as others:
+            put(states, (5, NONE))
+            assert assignment(get()) == ("planned", "svea3", PLANNED_ZERO)
+            put(others, (7, NEW))
+            assert assignment(get()) == ("lot", "svea2", 7)
+
+
+def test_bad_samples_are_counted_and_harm_nobody(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session
+) -> None:
+    status = keys.service_status("side-info", "a")
+    service = SideInfoService(session, [LOT], {"*": "lot"}, "a")
+    with (
+        listening(viewer, status) as get_status,
+        listening(viewer, keys.ALL_ASSIGNMENTS) as get,
+        publisher(agent, "svea1") as states,
+        publisher(agent, "svea2") as others,
+    ):
+        others.put(b"\xc1")
+        others.put(b"")
+        put(states, (1000, NEW))
+        with running(service):
+            assert assignment(get()) == ("lot", "svea1", 1000)
+            agent.put("fleet/bad name/state", b"", encoding=ENCODING)
+
+            def latest() -> dict[str, int]:
+                return ServiceStatus.decode(get_status().payload).refused
+
+            wait_until(lambda: latest() == {"malformed": 2, "key": 1})
+
+
+def test_the_service_is_seen_while_it_runs(session: zenoh.Session, viewer: zenoh.Session) -> None:
+    seen: queue.Queue[tuple[str, bool]] = queue.Queue()
+    with watch_alive(viewer, "svc/side-info/*", lambda key, alive: seen.put((key, alive))):
+        with running(SideInfoService(session, [LOT], {}, "a")):
+            assert seen.get(timeout=5.0) == ("svc/side-info/a", True)
+        assert seen.get(timeout=5.0) == ("svc/side-info/a", False)
+
+
+def test_the_status_comes_every_second(session: zenoh.Session, viewer: zenoh.Session) -> None:
+    now = [10**18]
+
+    def clock() -> int:
+        now[0] += 10**8
+        return now[0]
+
+    service = SideInfoService(session, [LOT], {}, "a", clock=clock)
+    with listening(viewer, keys.service_status("side-info", "a")) as get, running(service):
+        first, second = (ServiceStatus.decode(get().payload) for _ in range(2))
+    assert second.t - first.t == 10**9
+    assert (first.kind, first.instance, first.gauges["scenarios"]) == ("side-info", "a", 1)
+
+
+@pytest.mark.parametrize(
+    ("assign", "words"),
+    [
+        ({"svea1": "nowhere"}, "svea1 is assigned to scenario 'nowhere': loaded are lot, planned"),
+        ({"*": ""}, "scenario ''"),
+    ],
+)
+def test_an_assignment_to_what_is_not_loaded_is_refused(
+    session: zenoh.Session, assign: dict[str, str], words: str
+) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        SideInfoService(session, [LOT, PLANNED], assign, "a")
+
+
+def test_other_refusals(session: zenoh.Session) -> None:
+    with pytest.raises(ScenarioError, match="two scenarios have one name: lot, lot"):
+        SideInfoService(session, [LOT, LOT], {}, "a")
+    with pytest.raises(KeyIdError, match="'a b'"):
+        SideInfoService(session, [LOT], {"a b": "lot"}, "a")
+    with pytest.raises(KeyIdError, match="service id"):
+        SideInfoService(session, [LOT], {}, "a/b")
