@@ -1,0 +1,61 @@
+"""From bytes to samples by vehicle: decoding, refusing, and keeping samples until their profile has come."""
+
+from collections import deque
+from dataclasses import dataclass
+from threading import Lock
+from typing import Final
+
+from fleet_bus import keys
+from fleet_bus.errors import KeyIdError, MessageError
+from fleet_bus.messages import StateBatch, decode_states
+from fleet_bus.pubsub import Received
+from fleet_bus.rejections import Rejections
+
+#: States that may wait for the engine; at 125 bytes each about a gigabyte.
+MAX_WAITING: Final = 4_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleBatch:
+    """Samples of equal layout; ``vehicles`` names the vehicle of each row."""
+
+    vehicles: tuple[str, ...]
+    states: StateBatch
+
+
+class Ingest:
+    """The queue between the network thread, which only appends, and the engine, which takes all there is."""
+
+    def __init__(self, rejections: Rejections, limit: int = MAX_WAITING) -> None:
+        self._rejections = rejections
+        self._limit = limit
+        self._queue: deque[Received] = deque()
+        self._lock = Lock()
+        self.received = 0
+
+    def put(self, received: Received) -> None:
+        """Append one message; beyond the limit it is refused and counted (overflow)."""
+        with self._lock:
+            self.received += 1
+            full = len(self._queue) >= self._limit
+            if not full:
+                self._queue.append(received)
+        if full:
+            self._rejections.count(MessageError("overflow", f"{self._limit} states wait already"), received.key)
+
+    def drain(self) -> list[VehicleBatch]:
+        """Everything that has come since, decoded; what cannot be accepted is counted by reason."""
+        with self._lock:
+            taken, self._queue = self._queue, deque()
+        vehicles: list[str] = []
+        accepted: list[Received] = []
+        for received in taken:
+            try:
+                vehicles.append(keys.vehicle_of(received.key))
+                accepted.append(received)
+            except KeyIdError as unusable:
+                self._rejections.count(MessageError("key", str(unusable)), received.key)
+        batches, refused = decode_states([r.payload for r in accepted], [r.encoding for r in accepted])
+        for index, error in refused:
+            self._rejections.count(error, accepted[index].key)
+        return [VehicleBatch(tuple(vehicles[i] for i in batch.index.tolist()), batch) for batch in batches]

@@ -1,0 +1,59 @@
+"""From the engine's tubes to the messages that are published: constant size, rounded outwards."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fleet_bus.messages import Audit, ReachTube
+from reach_server import results
+from reach_server.results import Tubes
+from reach_server.windows import Floats
+
+
+def messages(
+    tubes: Tubes,
+    state_names: tuple[str, ...],
+    plane: tuple[int, int],
+    audits: list[Audit],
+    *,
+    server: str,
+    server_epoch: int,
+    compute_seconds: float,
+) -> Iterator[ReachTube]:
+    """One ``ReachTube`` per vehicle; every set in it contains the engine's, float32 rounding included."""
+    if not tubes.vehicles:
+        return
+    center = np.stack([s.center for s in tubes.steps], axis=1)
+    generators = np.stack([outward_generators(results.enclosing(s)) for s in tubes.steps], axis=1)
+    hull = outward_box(tubes.hull)
+    for i, vehicle in enumerate(tubes.vehicles):
+        yield ReachTube(
+            vehicle, int(tubes.epoch[i]), int(tubes.seq[i]), int(tubes.t[i]), tubes.times[i], state_names, plane,
+            tubes.method, tubes.labels[i], center[i], generators[i], hull[i], tubes.outline[i], tubes.area[i],
+            tubes.area_free[i], tubes.cuts[i], tubes.notes[i], {}, audits[i], server, server_epoch, compute_seconds,
+        )  # fmt: skip
+
+
+def outward_generators(generators: Floats) -> Floats:
+    """Generators (..., n, g) representable in float32 of a zonotope around the one given.
+
+    What the rounding takes from a row is given back to that row's diagonal generator (the last n columns).
+    """
+    n = generators.shape[-2]
+    rounded = generators.astype(np.float32).astype(np.float64)
+    lost = np.abs(generators - rounded).sum(axis=-1)
+    diagonal = np.arange(n)
+    exact = generators[..., diagonal, generators.shape[-1] - n + diagonal]
+    rounded[..., diagonal, generators.shape[-1] - n + diagonal] = _up(exact + lost)
+    return np.asarray(rounded)
+
+
+def outward_box(bounds: Floats) -> Floats:
+    """Lower and upper bounds (..., 2, n) representable in float32, not inside of those given."""
+    return np.stack([-_up(-bounds[..., 0, :]), _up(bounds[..., 1, :])], axis=-2)
+
+
+def _up(value: Floats) -> Floats:
+    """The next number representable in float32 that is not below."""
+    rounded = value.astype(np.float32)
+    return np.where(rounded < value, np.nextafter(rounded, np.float32(np.inf)), rounded).astype(np.float64)

@@ -1,0 +1,264 @@
+"""The reach server: Zenoh in, engine, Zenoh out. The only module of the package that knows clock and network."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Final
+
+import structlog
+import zenoh
+
+from fleet_bus import keys
+from fleet_bus.errors import KeyIdError, MessageError
+from fleet_bus.messages import (
+    Assignment,
+    Event,
+    EventKind,
+    ScenarioDocument,
+    ServiceStatus,
+    VehicleProfile,
+)
+from fleet_bus.messages import tube as tube_message
+from fleet_bus.pubsub import (
+    CachedPublisher,
+    Received,
+    declare_alive,
+    declare_cached_publisher,
+    declare_recovering_subscriber,
+    query_cache,
+    watch_alive,
+)
+from fleet_bus.rejections import Rejections
+from fleet_bus.sessions import DEFAULT_ROUTER, Role, open_session
+from reach_server import publish
+from reach_server.fleet import Fleet
+from reach_server.ingest import Ingest
+from reach_server.results import EngineEvent
+
+_log = structlog.get_logger(__name__)
+
+#: Samples asked of each agent's cache when the server starts; more than any window holds.
+HISTORY: Final = 100_000
+TICK_SECONDS: Final = 0.02
+STATUS_SECONDS: Final = 1.0
+#: A vehicle whose first samples are still missing after this long gets one query of its cache.
+GRACE_SECONDS: Final = 0.2
+QUERY_SECONDS: Final = 2.0
+EVENT_CACHE: Final = 32
+
+
+class ReachServer:
+    """One reach server between ``with``; ``run`` works until told to stop.
+
+    Three sessions: *input* carries states only, *control* everything rare (liveliness tokens in a session slow
+    down its data), *output* the tubes. Raises ``SessionError`` if no router answers.
+    """
+
+    def __init__(self, instance: str, routers: Sequence[str] = (DEFAULT_ROUTER,)) -> None:
+        self.instance = keys.check_id(instance, "server")
+        self.rejections = Rejections()
+        self.ingest = Ingest(self.rejections)
+        self.fleet = Fleet(self.rejections)
+        self._routers = routers
+        self._control: deque[Received | tuple[str, bool]] = deque()
+        self._open = ExitStack()
+        self._tubes: dict[str, CachedPublisher] = {}
+        self._events: dict[str, CachedPublisher] = {}
+        self._started = time.time_ns()
+        self._tube_count = 0
+        self._event_count = 0
+        self._stored = 0
+        self._repeated = 0
+        self._latencies: deque[float] = deque(maxlen=10_000)
+        self._compute: deque[float] = deque(maxlen=1000)
+        self._asked: dict[str, int] = {}
+        self._seen: dict[str, float] = {}
+
+    def __enter__(self) -> "ReachServer":
+        with ExitStack() as opening:
+            self._output: zenoh.Session = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            control = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            self._query = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            declare = opening.enter_context
+            status = keys.service_status("reach", self.instance)
+            self._status = declare(declare_cached_publisher(self._output, status, ServiceStatus.encoding(), cache=1))
+            for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS):
+                declare(
+                    declare_recovering_subscriber(
+                        control, expression, self._control.append, history=1, late_publishers=True
+                    )
+                )
+            declare(watch_alive(control, keys.ALL_ALIVE, lambda key, alive: self._control.append((key, alive))))
+            states = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            declare(declare_recovering_subscriber(states, keys.ALL_STATES, self.ingest.put, history=HISTORY))
+            declare(declare_alive(control, keys.service("reach", self.instance)))
+            self._open = opening.pop_all()
+        _log.info("reach server ready", id=self.instance, routers=list(self._routers))
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        for publisher in (*self._tubes.values(), *self._events.values()):
+            publisher.close()
+        self._open.close()
+
+    def run(self, stop: threading.Event) -> None:
+        """Work until ``stop`` is set: one tick takes everything that has come since the last."""
+        next_status = time.monotonic()
+        while not stop.is_set():
+            began = time.monotonic()
+            self.tick()
+            if began >= next_status:
+                next_status = began + STATUS_SECONDS
+                self._publish_status()
+            stop.wait(max(0.0, TICK_SECONDS - (time.monotonic() - began)))
+
+    def tick(self) -> None:
+        """One round: rare messages first, then all samples, then the tubes of their newest."""
+        self._handle_control()
+        batches = self.ingest.drain()
+        if batches:
+            began = time.perf_counter()
+            outcome = self.fleet.process(batches)
+            seconds = time.perf_counter() - began
+            self._compute.append(seconds)
+            self._stored += outcome.stored
+            self._repeated += outcome.repeated
+            for engine, tubes in outcome.tubes:
+                audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
+                profile = engine.profile
+                for message in publish.messages(
+                    tubes, profile.state_names, profile.position, audits,
+                    server=self.instance, server_epoch=self._started, compute_seconds=seconds,
+                ):  # fmt: skip
+                    self._publisher(self._tubes, keys.tube(message.vehicle), tube_message.ENCODING, 1).put(
+                        message.encode()
+                    )
+                    self._tube_count += 1
+            self._latencies.append(time.perf_counter() - began)
+            for event in outcome.events:
+                self._publish_event(event)
+            now = time.monotonic()
+            for batch in batches:
+                for vehicle in set(batch.vehicles):
+                    self._seen.setdefault(vehicle, now)
+        self._fetch_missing()
+
+    def _handle_control(self) -> None:
+        while self._control:
+            item = self._control.popleft()
+            if isinstance(item, tuple):
+                self._handle_token(*item)
+                continue
+            try:
+                for event in self._handle_document(item):
+                    self._publish_event(event)
+            except MessageError as error:
+                self.rejections.count(error, item.key)
+                self._tell_refused_document(item.key, error)
+            except KeyIdError as error:
+                self.rejections.count(MessageError("key", str(error)), item.key)
+
+    def _handle_token(self, key: str, alive: bool) -> None:
+        try:
+            vehicle = keys.vehicle_of(key)
+        except KeyIdError as error:
+            self.rejections.count(MessageError("key", str(error)), key)
+            return
+        if not alive:
+            # It may come back with a cache that holds what was missed meanwhile.
+            self._asked.pop(vehicle, None)
+            self._seen.pop(vehicle, None)
+            self._publish_event(
+                EngineEvent(EventKind.VEHICLE_GONE, vehicle, time.time_ns(), f"{vehicle} is out of sight")
+            )
+
+    def _handle_document(self, item: Received) -> list[EngineEvent]:
+        if item.key.startswith("fleet/"):
+            vehicle = keys.vehicle_of(item.key)
+            return self.fleet.set_profile(vehicle, VehicleProfile.decode(item.payload, item.encoding))
+        if item.key.endswith("/document"):
+            document = ScenarioDocument.decode(item.payload, item.encoding)
+            if keys.document(document.scenario) != item.key:
+                raise MessageError("key", f"scenario {document.scenario} was put on {item.key}")
+            return self.fleet.set_scenario(document)
+        assignment = Assignment.decode(item.payload, item.encoding)
+        if keys.assignment(assignment.scenario, assignment.vehicle) != item.key:
+            raise MessageError("key", f"an assignment of {assignment.vehicle} was put on {item.key}")
+        return self.fleet.assign(assignment)
+
+    def _tell_refused_document(self, key: str, error: MessageError) -> None:
+        if not key.startswith("fleet/"):
+            _log.warning("document refused", key=key, error=str(error))
+            return
+        try:
+            vehicle = keys.vehicle_of(key)
+        except KeyIdError:
+            return
+        message = f"profile of {vehicle} refused: {error}"[:2000]
+        self._publish_event(EngineEvent(EventKind.PROFILE_REFUSED, vehicle, time.time_ns(), message))
+
+    def _fetch_missing(self) -> None:
+        """Ask the caches of agents that were there before they could be heard, once per start of an agent."""
+        now = time.monotonic()
+        for vehicle, since in list(self._seen.items()):
+            if now - since < GRACE_SECONDS:
+                continue
+            first = self.fleet.first_sample(vehicle)
+            if first is None or self._asked.get(vehicle) == first[0]:
+                continue
+            self._asked[vehicle] = first[0]
+            if first[1] > 0:
+                threading.Thread(target=self._fetch, args=(vehicle,), daemon=True).start()
+
+    def _fetch(self, vehicle: str) -> None:
+        """Put what an agent's cache holds into the queue; what is known already is dropped by the window."""
+        try:
+            for received in query_cache(self._query, keys.state(vehicle), max_samples=HISTORY, timeout=QUERY_SECONDS):
+                self.ingest.put(received)
+        except zenoh.ZError as error:
+            _log.warning("cache query failed", vehicle=vehicle, error=str(error))
+
+    def _publisher(self, known: dict[str, CachedPublisher], key: str, encoding: str, cache: int) -> CachedPublisher:
+        publisher = known.get(key)
+        if publisher is None:
+            # DROP would lose tubes in bursts; BLOCK_FIRST waits for the oldest only.
+            publisher = known[key] = declare_cached_publisher(
+                self._output, key, encoding, cache=cache, congestion=zenoh.CongestionControl.BLOCK_FIRST
+            )
+        return publisher
+
+    def _publish_event(self, event: EngineEvent) -> None:
+        message = Event(
+            kind=event.kind, vehicle=event.vehicle, t=event.t, source=self.instance,
+            message=event.message[:2000], details=event.details,
+        )  # fmt: skip
+        _log.info("event", kind=str(event.kind), vehicle=event.vehicle, message=event.message)
+        self._publisher(self._events, keys.event(event.vehicle), Event.encoding(), EVENT_CACHE).put(message.encode())
+        self._event_count += 1
+
+    def status(self) -> ServiceStatus:
+        """Counters and gauges of this moment."""
+        filled = [count for engine in self.fleet.engines for count in engine.window_filled().tolist()]
+        return ServiceStatus(
+            kind="reach", instance=self.instance, t=time.time_ns(), started=self._started,
+            counters={
+                "states": self.ingest.received, "stored": self._stored, "repeated": self._repeated,
+                "tubes": self._tube_count, "events": self._event_count,
+            },
+            gauges={
+                "vehicles": float(len(filled)), "window_least": float(min(filled, default=0)),
+                "compute_p50": _quantile(self._compute, 0.5), "compute_p99": _quantile(self._compute, 0.99),
+                "tick_p50": _quantile(self._latencies, 0.5), "tick_p99": _quantile(self._latencies, 0.99),
+            },
+            refused=self.rejections.snapshot(),
+        )  # fmt: skip
+
+    def _publish_status(self) -> None:
+        self._status.put(self.status().encode())
+
+
+def _quantile(values: deque[float], q: float) -> float:
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else 0.0
