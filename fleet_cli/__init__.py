@@ -1,0 +1,1 @@
+"""The command ``fleet``: thin; it parses, starts and prints."""

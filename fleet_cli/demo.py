@@ -1,0 +1,264 @@
+"""The whole loop on one machine: router, side information, reach server and simulated vehicles, and a viewer."""
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from fleet_bus.errors import FleetError, UsageError
+from fleet_bus.messages import EventKind
+from fleet_bus.router import Router
+from fleet_cli.monitor import Monitor, VehicleCoverage
+from fleet_cli.processes import Children
+from side_info.scenario import Scenario
+from vehicle_agent.route import route_names
+
+#: Seconds that the processes have to get ready, and the vehicles to get their first tube.
+READY_SECONDS = 60.0
+#: Vehicles that one agent process serves.
+VEHICLES_A_PROCESS = 50
+#: Events that an honest demo does not lead to.
+UNWANTED = (
+    EventKind.CONTRADICTION,
+    EventKind.MISS,
+    EventKind.DATA_CONTRADICTED,
+    EventKind.PROFILE_REFUSED,
+    EventKind.PROFILE_CONTRADICTED,
+    EventKind.SCENARIO_REFUSED,
+)
+
+
+class Demo:
+    """One run of the demo; ``run`` returns its summary, ``draw`` pictures it afterwards."""
+
+    def __init__(self, scenario: str, vehicles: int, duration: float, *, port: int = 0, seed: int = 1) -> None:
+        if scenario not in route_names():
+            raise UsageError(f"--scenario {scenario!r}: choose one of {', '.join(route_names())}")
+        self.scenario = Scenario.load(scenario)
+        self._vehicles = [f"svea{i + 1}" for i in range(vehicles)]
+        self._duration = duration
+        self._port = port
+        self._seed = seed
+        # A scenario longer than the demo is played faster, so that all of it is seen.
+        self._speed = max(1.0, self.scenario.end_ns / 1e9 / duration)
+        self._monitor: Monitor | None = None
+
+    def run(self, stop: threading.Event, *, live: bool, quiet: bool) -> dict[str, Any]:
+        """Bring everything up, watch for the duration, end everything; the summary as a JSON document."""
+        console = Console(quiet=quiet)
+        with Router([f"tcp/127.0.0.1:{self._port}"]) as router, Children() as children:
+            endpoint = router.endpoints[0]
+            say = console.print
+            say(f"router on {endpoint}", highlight=False)
+            with Monitor([endpoint]) as monitor:
+                self._monitor = monitor
+                self._start(children, endpoint, stop, say)
+                self._watch(monitor, children, stop, console, live=live)
+                monitor.take_in()
+        return self._summary(monitor)
+
+    def _start(self, children: Children, endpoint: str, stop: threading.Event, say: Any) -> None:
+        at = ("--router", endpoint)
+        reach = children.start("reach server", "reach", "--id", "reach-1", *at)
+        side_info = children.start("side-info", "side-info", self.scenario.name, *at)
+        reach.wait_for("ready", READY_SECONDS, stop)
+        side_info.wait_for("publishes", READY_SECONDS, stop)
+        say(f"reach server and side information are up: scenario {self.scenario.name}", highlight=False)
+        for first in range(0, len(self._vehicles), VEHICLES_A_PROCESS):
+            names = self._vehicles[first : first + VEHICLES_A_PROCESS]
+            agents = children.start(
+                "vehicle agents", "agent", *(part for name in names for part in ("--vehicle", name)),
+                "--source", "sim", "--route", self.scenario.name, "--seed", str(self._seed + first),
+                "--speed", str(self._speed), *at,
+            )  # fmt: skip
+            agents.wait_for("agents ready", READY_SECONDS, stop)
+        pace = "" if self._speed == 1.0 else f", {self._speed:.3g} times faster than real time"
+        say(f"{len(self._vehicles)} simulated vehicles drive{pace}", highlight=False)
+
+    def _watch(
+        self, monitor: Monitor, children: Children, stop: threading.Event, console: Console, *, live: bool
+    ) -> None:
+        deadline = time.monotonic() + READY_SECONDS
+        while len(monitor.newest) < len(self._vehicles):
+            monitor.take_in()
+            if stop.wait(0.05):
+                return
+            self._check(children)
+            if time.monotonic() > deadline:
+                missing = sorted(set(self._vehicles) - set(monitor.newest))
+                raise FleetError(f"no tube of {', '.join(missing)} within {READY_SECONDS:g} s: run again with fleet -v")
+        end = time.monotonic() + self._duration
+        next_line = 0.0
+        with Live(console=console, auto_refresh=False, transient=True) as display:
+            while (now := time.monotonic()) < end and not stop.wait(0.1):
+                monitor.take_in()
+                self._check(children)
+                if live and console.is_terminal:
+                    display.update(self._table(monitor), refresh=True)
+                elif now >= next_line:
+                    next_line = now + 2.0
+                    for line in self._lines(monitor):
+                        console.print(line, highlight=False, soft_wrap=True)
+
+    def _check(self, children: Children) -> None:
+        dead = children.dead()
+        if dead is not None:
+            raise FleetError(f"{dead.name} ended with exit code {dead.process.returncode}: {dead.errors()}")
+
+    def _elapsed(self, monitor: Monitor, vehicle: str) -> float | None:
+        assignment, tube = monitor.assignments.get(vehicle), monitor.newest.get(vehicle)
+        return None if assignment is None or tube is None else (tube.t - assignment.time_zero) / 1e9
+
+    def _lines(self, monitor: Monitor) -> list[str]:
+        lines = []
+        for vehicle, tube in sorted(monitor.newest.items()):
+            low = tube.center[:, tube.position] + tube.hull[:, 0, tube.position]
+            high = tube.center[:, tube.position] + tube.hull[:, 1, tube.position]
+            elapsed = self._elapsed(monitor, vehicle)
+            when = "      " if elapsed is None else f"{elapsed:5.1f}s"
+            cuts = ", ".join(sorted({cut.predicate for cut in tube.cuts})) or "–"
+            parts = [
+                f"in {(tube.times[k] - tube.t) / 1e6:.0f} ms: x {low[k][0]:.2f}…{high[k][0]:.2f} "
+                f"y {low[k][1]:.2f}…{high[k][1]:.2f}"
+                for k in (0, len(tube.times) - 1)
+            ]
+            lines.append(f"{when} {vehicle:8} {tube.label:12} {'   '.join(parts)}   cut by {cuts}")
+        return lines
+
+    def _table(self, monitor: Monitor) -> Table:
+        table = Table(title=f"{self.scenario.name}: where each vehicle can be next")
+        for column in (
+            "vehicle",
+            "t",
+            "label",
+            "next x",
+            "next y",
+            "last x",
+            "last y",
+            "area m²",
+            "uncut m²",
+            "cut by",
+        ):
+            table.add_column(column)
+        for vehicle, tube in sorted(monitor.newest.items()):
+            low = tube.center[:, tube.position] + tube.hull[:, 0, tube.position]
+            high = tube.center[:, tube.position] + tube.hull[:, 1, tube.position]
+            elapsed = self._elapsed(monitor, vehicle)
+            ranges = [f"{low[k][i]:6.2f} … {high[k][i]:5.2f}" for k in (0, -1) for i in (0, 1)]
+            table.add_row(
+                vehicle, "" if elapsed is None else f"{elapsed:.1f} s", str(tube.label), *ranges,
+                f"{tube.area[-1]:.3f}", f"{tube.area_free[-1]:.3f}",
+                ", ".join(sorted({cut.predicate for cut in tube.cuts})),
+            )  # fmt: skip
+        return table
+
+    def _summary(self, monitor: Monitor) -> dict[str, Any]:
+        coverage = monitor.coverage()
+        by_vehicle = {}
+        for vehicle in self._vehicles:
+            own = coverage.get(vehicle)
+            by_vehicle[vehicle] = {
+                "samples": monitor.counts[vehicle]["samples"],
+                "tubes": monitor.counts[vehicle]["tubes"],
+                "checked": 0 if own is None else int(own.checked[:, 0].sum()),
+                "inside": 0 if own is None else int(own.inside[:, 0].sum()),
+                "label": str(monitor.newest[vehicle].label) if vehicle in monitor.newest else "none",
+            }
+        steps = _steps(list(coverage.values()))
+        latency = monitor.latencies() * 1e3
+        events: dict[str, int] = {}
+        for event in monitor.events:
+            events[str(event.kind)] = events.get(str(event.kind), 0) + 1
+        refused = dict(monitor.rejections.snapshot())
+        for status in monitor.status.values():
+            for reason, count in status.refused.items():
+                refused[reason] = refused.get(reason, 0) + count
+        summary: dict[str, Any] = {
+            "scenario": self.scenario.name,
+            "vehicles": len(self._vehicles),
+            "duration": self._duration,
+            "speed": self._speed,
+            "samples": sum(v["samples"] for v in by_vehicle.values()),
+            "tubes": sum(v["tubes"] for v in by_vehicle.values()),
+            "by_vehicle": by_vehicle,
+            "one_step": {key: steps[0][key] for key in ("checked", "inside")} if steps else {"checked": 0, "inside": 0},
+            "horizon": {key: sum(step[key] for step in steps) for key in ("checked", "inside")},
+            "area": {
+                str(step["step"]): {"with": step["area_mean"], "without": step["area_free_mean"]}
+                for step in (steps[:1] + steps[-1:] if steps else [])
+            },
+            "latency_ms": {
+                "p50": float(np.quantile(latency, 0.5)) if len(latency) else 0.0,
+                "p99": float(np.quantile(latency, 0.99)) if len(latency) else 0.0,
+            },
+            "events": events,
+            "refused": refused,
+            "evaluation": self._evaluation(monitor, steps),
+        }
+        summary["failures"] = self._failures(summary)
+        return summary
+
+    def _evaluation(self, monitor: Monitor, steps: list[dict[str, Any]]) -> dict[str, Any]:
+        labels: dict[str, int] = {}
+        for seen in monitor.tubes.values():
+            labels[str(seen.message.label)] = labels.get(str(seen.message.label), 0) + 1
+        compute = [seen.message.compute_seconds * 1e6 for seen in monitor.tubes.values()]
+        default = {
+            "steps": [{key: value for key, value in step.items() if key != "area_free_mean"} for step in steps],
+            "update_us_median": float(np.median(compute)) if compute else 0.0,
+            "label_counts": labels,
+        }
+        return {"recordings": [], "profile": "svea", "horizon": len(steps), "methods": {"default": default}}
+
+    def _failures(self, summary: dict[str, Any]) -> list[str]:
+        failures = []
+        for vehicle, own in summary["by_vehicle"].items():
+            if own["tubes"] == 0:
+                failures.append(f"no tube of {vehicle}")
+            if own["inside"] < own["checked"]:
+                failures.append(f"{own['checked'] - own['inside']} true next states of {vehicle} lay outside their set")
+        if summary["horizon"]["inside"] < summary["horizon"]["checked"]:
+            failures.append("a true state lay outside its set within the horizon")
+        if summary["one_step"]["checked"] == 0:
+            failures.append("no prediction could be checked against the truth")
+        steps = list(summary["area"].values())
+        if steps and not steps[-1]["with"] < steps[-1]["without"]:
+            failures.append("side information did not make the sets of the last step smaller")
+        failures += [f"event {kind}: {count}" for kind, count in summary["events"].items() if kind in set(UNWANTED)]
+        for step, area in summary["area"].items():
+            if area["with"] > area["without"] * (1 + 1e-9):
+                failures.append(f"side information made the sets of step {step} larger")
+        return failures
+
+    def draw(self, path: Path) -> None:
+        """Draw the drive of the last run with tubes, cut and uncut; raise ``UsageError`` if that fails."""
+        from fleet_cli.picture import draw_demo
+
+        if self._monitor is None:
+            raise UsageError("nothing has run yet")
+        draw_demo(self._monitor, self.scenario, path)
+
+
+def _steps(coverage: list[VehicleCoverage]) -> list[dict[str, Any]]:
+    """Figures by step over all vehicles."""
+    if not coverage:
+        return []
+    checked, inside, area, free = (
+        np.concatenate([getattr(c, name) for c in coverage]) for name in ("checked", "inside", "area", "area_free")
+    )
+    return [
+        {
+            "step": h + 1,
+            "checked": int(checked[:, h].sum()),
+            "inside": int((inside & checked)[:, h].sum()),
+            "area_mean": float(area[:, h].mean()),
+            "area_median": float(np.median(area[:, h])),
+            "area_free_mean": float(free[:, h].mean()),
+        }
+        for h in range(checked.shape[1])
+    ]

@@ -1,0 +1,291 @@
+"""The command ``fleet``: options and arguments; the work is done in the packages."""
+
+import json
+import logging
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import structlog
+import typer
+from rich.console import Console
+
+from fleet_bus.errors import FleetError, UsageError
+from fleet_bus.sessions import DEFAULT_ROUTER
+
+app = typer.Typer(
+    name="fleet",
+    help="Where can every vehicle be next? Agents, side information, reach server and tools on one bus.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+router_app = typer.Typer(invoke_without_command=True, help="Run the embedded router.")
+scenario_app = typer.Typer(no_args_is_help=True, help="Look at scenario documents.")
+app.add_typer(router_app, name="router")
+app.add_typer(scenario_app, name="scenario")
+
+Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
+_DEFAULT_ROUTERS = [DEFAULT_ROUTER]
+
+
+def main() -> None:
+    """Entry point: errors of the project become one line on stderr and exit code 1 (failed) or 2 (wrong use)."""
+    try:
+        app()
+    except UsageError as error:
+        Console(stderr=True).print(f"[bold red]error[/]: {error}", markup=True, highlight=False, soft_wrap=True)
+        sys.exit(2)
+    except FleetError as error:
+        Console(stderr=True).print(f"[bold red]error[/]: {error}", markup=True, highlight=False, soft_wrap=True)
+        sys.exit(1)
+
+
+@app.callback()
+def common(
+    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice for details.")] = 0,
+) -> None:
+    """Set up the log, which goes to stderr."""
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+    )
+
+
+def stop_on_signals() -> threading.Event:
+    """An event that SIGINT and SIGTERM set, so that sessions are closed before the process ends."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    return stop
+
+
+@router_app.callback()
+def router(
+    context: typer.Context,
+    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 7447,
+    listen: Annotated[list[str] | None, typer.Option(help="Endpoints to listen on, instead of --port.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
+) -> None:
+    """Run the embedded router until interrupted; prints the endpoints it listens on."""
+    if context.invoked_subcommand is not None:
+        return
+    from fleet_bus.router import Router
+
+    stop = stop_on_signals()
+    endpoints = listen or ([f"tcp/127.0.0.1:{port}"] if config is None else None)
+    with Router(endpoints, config_file=config) as running:
+        print(f"router listens on {' '.join(running.endpoints)}", flush=True)
+        stop.wait()
+
+
+@app.command()
+def reach(
+    id: Annotated[str, typer.Option(help="Id of this server.")] = "reach-1",
+    router: Routers = _DEFAULT_ROUTERS,
+) -> None:
+    """Run a reach server until interrupted."""
+    from reach_server.server import ReachServer
+
+    stop = stop_on_signals()
+    with ReachServer(id, router) as server:
+        print(f"reach server {id} ready", flush=True)
+        server.run(stop)
+
+
+@app.command("side-info")
+def side_info(
+    scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
+    assign: Annotated[
+        list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
+    ] = None,
+    id: Annotated[str, typer.Option(help="Id of this service.")] = "side-info-1",
+    clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.")] = 0.0,
+    router: Routers = _DEFAULT_ROUTERS,
+) -> None:
+    """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario."""
+    from fleet_bus import Role, open_session
+    from side_info.scenario import Scenario
+    from side_info.service import EVERY_VEHICLE, SideInfoService
+
+    stop = stop_on_signals()
+    loaded = [Scenario.load(name) for name in scenarios]
+    pairs = dict(_pair(text) for text in assign) if assign else {EVERY_VEHICLE: loaded[0].name}
+    with open_session(Role.SERVICE, router) as session:
+        service = SideInfoService(session, loaded, pairs, id, clock_offset=clock_offset)
+        print(f"side-info publishes {', '.join(s.name for s in loaded)}", flush=True)
+        service.run(stop)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    vehicle, separator, scenario = text.partition("=")
+    if not (vehicle and separator and scenario):
+        raise UsageError(f"--assign {text!r}: write VEHICLE=SCENARIO, such as svea1=parking-lot or '*=parking-lot'")
+    return vehicle, scenario
+
+
+@scenario_app.command("list")
+def scenario_list() -> None:
+    """Name the scenarios that ship with the project."""
+    from side_info.scenario import shipped
+
+    for name in shipped():
+        print(name)
+
+
+@scenario_app.command("check")
+def scenario_check(
+    scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
+    profile: Annotated[str | None, typer.Option(help="Profile whose states the scenario must fit.")] = None,
+) -> None:
+    """Check scenario documents; exit code 2 names the first error with its place."""
+    from fleet_cli.profile_files import find_profile
+    from side_info.scenario import Scenario
+
+    for name in scenarios:
+        scenario = Scenario.load(name)
+        if profile is not None:
+            scenario.state_indices(find_profile(profile))
+        seconds = scenario.end_ns / 1e9
+        print(f"{scenario.name} v{scenario.version}: {len(scenario.predicates)} predicates over {seconds:g} s")
+
+
+@app.command()
+def agent(
+    vehicle: Annotated[list[str], typer.Option(help="Vehicle id; more than one run in one process.")],
+    source: Annotated[str, typer.Option(help="sim or recording.")] = "sim",
+    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")] = "svea",
+    recording: Annotated[Path | None, typer.Option(help="Recording (NPZ) of --source recording.")] = None,
+    route: Annotated[str, typer.Option(help="Route that simulated vehicles drive.")] = "parking-lot",
+    seed: Annotated[int, typer.Option(help="Seed of the first simulated vehicle; the next ones count on.")] = 1,
+    history: Annotated[int, typer.Option(help="Samples of free driving that a simulated vehicle brings along.")] = 1024,
+    speed: Annotated[float, typer.Option(help="How many times faster than real time.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(help="Stop after this many seconds.")] = None,
+    router: Routers = _DEFAULT_ROUTERS,
+) -> None:
+    """Run vehicle agents until interrupted, or until their recording ends."""
+    from fleet_cli.agents import recorded, simulated, work
+    from fleet_cli.profile_files import find_profile
+
+    stop = stop_on_signals()
+    chosen = find_profile(profile)
+    if source == "sim":
+        agents = [simulated(v, chosen, route, seed + i, history) for i, v in enumerate(vehicle)]
+    elif source == "recording":
+        if recording is None or len(vehicle) != 1:
+            raise UsageError("--source recording needs --recording FILE and exactly one --vehicle")
+        agents = [recorded(vehicle[0], chosen, recording)]
+    else:
+        raise UsageError(f"--source {source!r} is unknown: choose sim or recording")
+    work(agents, router, stop, speed=speed, duration=duration)
+
+
+@app.command()
+def replay(
+    files: Annotated[list[Path], typer.Argument(help="Recordings (NPZ).")],
+    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")],
+    speed: Annotated[float, typer.Option(help="How many times faster than recorded.")] = 1.0,
+    as_: Annotated[str | None, typer.Option("--as", help="Vehicle id; several files count on from it.")] = None,
+    linger: Annotated[float, typer.Option(help="Seconds to stay on the bus after the last sample.")] = 0.0,
+    router: Routers = _DEFAULT_ROUTERS,
+) -> None:
+    """Publish recordings as live vehicles."""
+    from fleet_cli.agents import recorded, vehicle_names, work
+    from fleet_cli.profile_files import find_profile
+
+    stop = stop_on_signals()
+    chosen = find_profile(profile)
+    names = vehicle_names(files, as_)
+    agents = [recorded(name, chosen, path) for name, path in zip(names, files, strict=True)]
+    reports = work(agents, router, stop, speed=speed, linger=linger)
+    for report in reports.values():
+        skipped = ", ".join(f"{count} skipped: {reason}" for reason, count in report.skipped.items())
+        print(f"{report.vehicle}: {report.published} samples published" + (f", {skipped}" if skipped else ""))
+
+
+@app.command()
+def evaluate(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) to test on.")],
+    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")],
+    train: Annotated[
+        list[Path] | None, typer.Option(help="Recordings to train on, else the first part of each.")
+    ] = None,
+    method: Annotated[list[str] | None, typer.Option(help="Methods to set side by side.")] = None,
+    horizon: Annotated[int | None, typer.Option(help="Steps, instead of the profile's.")] = None,
+    inputs: Annotated[str, typer.Option(help="recorded, limits, rate or learned.")] = "recorded",
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here; '-' for stdout.")] = None,
+) -> None:
+    """Coverage, area and time of the engine over recordings, method beside method."""
+    from fleet_cli import evaluation, reports
+    from fleet_cli.profile_files import find_profile
+    from vehicle_agent.recording import load_recording
+
+    if inputs not in ("recorded", "limits", "rate", "learned"):
+        raise UsageError(f"--inputs {inputs!r} is unknown: choose recorded, limits, rate or learned")
+    if horizon is not None and not 1 <= horizon <= 200:
+        raise UsageError(f"--horizon {horizon} must lie between 1 and 200")
+    chosen = find_profile(profile)
+    loaded = [load_recording(path) for path in recordings]
+    training = [load_recording(path) for path in train or []]
+    with reports.progress() as tell:
+        figures = evaluation.evaluate(
+            loaded, chosen, training=training, methods=method or ["paper", "default"], horizon=horizon, inputs=inputs,
+            progress=tell,
+        )  # fmt: skip
+    steps = horizon or chosen.horizon
+    document = evaluation.as_json(figures, [str(path) for path in recordings], chosen, steps)
+    if json_file is None or str(json_file) != "-":
+        reports.print_evaluation(figures, chosen, [path.name for path in recordings])
+    write_json(document, json_file)
+
+
+@app.command()
+def demo(
+    scenario: Annotated[str, typer.Option(help="parking-lot or roundabout.")] = "parking-lot",
+    vehicles: Annotated[int, typer.Option(help="Simulated vehicles.", min=1, max=200)] = 4,
+    duration: Annotated[float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0)] = 40.0,
+    headless: Annotated[bool, typer.Option(help="Print lines instead of a live table.")] = False,
+    port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the first vehicle.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary here; '-' for stdout.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the drive and its tubes here (PNG, SVG or PDF).")] = None,
+) -> None:
+    """Everything at once on this machine: router, side information, reach server and simulated vehicles."""
+    from fleet_cli.demo import Demo
+    from fleet_cli.reports import print_summary
+
+    stop = stop_on_signals()
+    to_stdout = json_file is not None and str(json_file) == "-"
+    run = Demo(scenario, vehicles, duration, port=port, seed=seed)
+    summary = run.run(stop, live=not headless, quiet=to_stdout)
+    if not to_stdout:
+        print_summary(summary)
+    write_json(summary, json_file)
+    if picture is not None:
+        run.draw(picture)
+        if not to_stdout:
+            print(f"picture: {picture}")
+    if summary["failures"]:
+        sys.exit(1)
+
+
+def write_json(document: object, path: Path | None) -> None:
+    """Write a document as JSON to a file, or to stdout for '-'; raise ``UsageError`` if that fails."""
+    if path is None:
+        return
+    text = json.dumps(document, indent=2)
+    if str(path) == "-":
+        print(text)
+        return
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"--json {path}: cannot be written: {error}") from None
