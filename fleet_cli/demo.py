@@ -198,6 +198,7 @@ class Demo:
             },
             "events": events,
             "refused": refused,
+            "server_failures": sum(s.counters.get("failures", 0) for s in monitor.status.values()),
             "evaluation": self._evaluation(monitor, steps),
         }
         summary["failures"] = self._failures(summary)
@@ -229,6 +230,8 @@ class Demo:
         steps = list(summary["area"].values())
         if steps and not steps[-1]["with"] < steps[-1]["without"]:
             failures.append("side information did not make the sets of the last step smaller")
+        if summary["server_failures"]:
+            failures.append(f"{summary['server_failures']} rounds of the reach server failed: run again with fleet -v")
         failures += [f"event {kind}: {count}" for kind, count in summary["events"].items() if kind in set(UNWANTED)]
         for step, area in summary["area"].items():
             if area["with"] > area["without"] * (1 + 1e-9):

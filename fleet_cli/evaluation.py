@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from fleet_bus.errors import RecordingError
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
 from reach_server import audit
-from reach_server.engine import Engine, KnownInputs, join_sets
+from reach_server.engine import Engine, KnownInputs
 from reach_server.results import Tubes
+from reach_server.tube import join_sets
 from reach_server.windows import SampleBatch
 from vehicle_agent.recording import Recording
 from vehicle_agent.sources import RecordingSource
@@ -157,7 +158,8 @@ def _roll(
     predicted: list[tuple[int, Tubes]] = []
     for k in range(first, len(samples)):
         batch = SampleBatch.of(0, [samples[k]])
-        known = KnownInputs(_plan(samples, k, horizon)) if planned else None
+        exactly = np.zeros((1, engine.layout.m))
+        known = KnownInputs(_plan(samples, k, horizon), exactly) if planned else None
         began = time.perf_counter()
         tubes = engine.step(batch, known)
         if tubes.vehicles:
@@ -169,9 +171,7 @@ def _roll(
     progress(len(samples))
     if not predicted:
         return
-    measurement = engine.bounds.measurement
-    if engine.method == "calibrated":
-        measurement = np.zeros((engine.layout.n, 0))
+    measurement = engine.noise_of_claim
     rows = np.array([k for k, _ in predicted])
     inside = np.zeros((len(rows), horizon), dtype=bool)
     checked = np.zeros((len(rows), horizon), dtype=bool)

@@ -11,6 +11,7 @@ from typing import Annotated
 import structlog
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from fleet_bus.errors import FleetError, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
@@ -35,12 +36,9 @@ def main() -> None:
     """Entry point: errors of the project become one line on stderr and exit code 1 (failed) or 2 (wrong use)."""
     try:
         app()
-    except UsageError as error:
-        Console(stderr=True).print(f"[bold red]error[/]: {error}", markup=True, highlight=False, soft_wrap=True)
-        sys.exit(2)
     except FleetError as error:
-        Console(stderr=True).print(f"[bold red]error[/]: {error}", markup=True, highlight=False, soft_wrap=True)
-        sys.exit(1)
+        Console(stderr=True).print(f"[bold red]error[/]: {escape(str(error))}", highlight=False, soft_wrap=True)
+        sys.exit(2 if isinstance(error, UsageError) else 1)
 
 
 @app.callback()

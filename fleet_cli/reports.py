@@ -16,7 +16,8 @@ from fleet_cli.evaluation import MethodFigures
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar per name on stderr; call what comes back with name, done and total."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bars:
+    console = Console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
 
         def tell(name: str, done: int, total: int) -> None:

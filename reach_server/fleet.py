@@ -26,13 +26,22 @@ KEPT_WITHOUT_PROFILE = 2000
 INTERVAL_CHECK = 20
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """Inputs (steps, m) within a tolerance (m) that follow the sample ``key`` (epoch, seq)."""
+
+    key: tuple[int, int]
+    inputs: Floats
+    tolerance: Floats
+
+
 @dataclass(slots=True)
 class _Vehicle:
     profile: VehicleProfile | None = None
     slot: int = -1
     kept: list[StateBatch] = field(default_factory=list)
     told: set[str] = field(default_factory=set)
-    plan: tuple[Floats, Floats | None] | None = None
+    plan: "_Plan | None" = None
     first: tuple[int, int] | None = None
 
 
@@ -79,7 +88,7 @@ class Fleet:
         if known.profile == profile:
             return []
         if known.profile is not None:
-            self._engines[known.profile.shape_key()].window.clear(known.slot)
+            self._engines[known.profile.shape_key()].reset(vehicle)
         engine = self._engines.get(profile.shape_key())
         if engine is None:
             engine = self._engines[profile.shape_key()] = Engine(profile)
@@ -150,14 +159,18 @@ class Fleet:
         for key, samples in parts.items():
             engine = engines[key]
             joined = SampleBatch.join(samples)
+            slots = np.unique(joined.vehicle)
+            before = engine.window.newest(slots)
             appended, found = engine.append(joined)
             stored, repeated = stored + appended.stored, repeated + appended.repeated
             for _ in range(appended.backwards):
                 self._rejections.count(MessageError("range", "a stamp that does not advance"), "fleet/*/state")
-            slots = np.unique(joined.vehicle)
             events += self._check_intervals(engine, slots)
             events += found
-            for group, known_inputs in self._by_plan(engine, slots):
+            after = engine.window.newest(slots)
+            # What an agent's cache repeats fills the window, it is no reason for another tube.
+            slots = slots[(before[0] != after[0]) | (before[1] != after[1]) | (before[2] != after[2])]
+            for group, known_inputs in self._by_plan(engine, slots) if len(slots) else []:
                 result = engine.predict(group, known_inputs)
                 events += result.events
                 tubes.append((engine, result))
@@ -213,10 +226,12 @@ class Fleet:
             events += self._tell(vehicle, known, f"limits {name}", int(states.t[-1]), message)
         if profile.future_inputs == "plan" and states.plan is not None:
             newest = int(np.lexsort((states.seq, states.epoch))[-1])
-            tolerance = None if states.plan_tolerance is None else states.plan_tolerance[newest]
-            known.plan = (states.plan[newest], tolerance)
-        else:
-            known.plan = None
+            key = (int(states.epoch[newest]), int(states.seq[newest]))
+            if known.plan is None or key > known.plan.key:
+                tolerance = (
+                    np.zeros(states.u.shape[1]) if states.plan_tolerance is None else states.plan_tolerance[newest]
+                )
+                known.plan = _Plan(key, states.plan[newest], tolerance)
         count = len(states.t)
         return SampleBatch(
             np.full(count, known.slot, dtype=np.intp),
@@ -258,14 +273,19 @@ class Fleet:
         """Slots with a plan that reaches over the horizon, with it; and the others."""
         if engine.profile.future_inputs != "plan":
             return [(slots, None)]
-        needed, m = engine.horizon - 1, engine.layout.m
-        plans = [self._vehicles[engine.vehicles[slot]].plan for slot in slots]
-        has = np.array([plan is not None and len(plan[0]) >= needed for plan in plans], dtype=bool)
+        needed = engine.horizon - 1
+        epoch, seq, _, _ = engine.window.newest(slots)
+        newest = zip(epoch.tolist(), seq.tolist(), strict=True)
+        # The plan of an older sample does not say what follows the newest one.
+        plans = [
+            plan if plan is not None and plan.key == key and len(plan.inputs) >= needed else None
+            for key, plan in zip(newest, (self._vehicles[engine.vehicles[slot]].plan for slot in slots), strict=True)
+        ]
+        has = np.array([plan is not None for plan in plans], dtype=bool)
         groups: list[tuple[NDArray[np.intp], KnownInputs | None]] = []
         if has.any():
-            chosen = [plan for plan, there in zip(plans, has, strict=True) if plan is not None and there]
-            tolerance = [np.zeros(m) if plan[1] is None else plan[1] for plan in chosen]
-            known = KnownInputs(np.stack([plan[0][:needed] for plan in chosen]), np.stack(tolerance))
+            chosen = [plan for plan in plans if plan is not None]
+            known = KnownInputs(np.stack([p.inputs[:needed] for p in chosen]), np.stack([p.tolerance for p in chosen]))
             groups.append((slots[has], known))
         if not has.all():
             groups.append((slots[~has], None))

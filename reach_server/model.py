@@ -56,14 +56,14 @@ class Model:
 
     Attributes:
         matrix: M (V, n, 1 + p).
-        z: regressors of the data (V, T, p); rows that are not ``usable`` (V, T) do not count.
-        residual: (V, T, n).
+        z: regressors of the data (V, p, T), the data last so that reductions over it run through memory in order.
+        residual: (V, n, T).
         low, high: hull of the residuals (V, n).
         noise: generators of N (V, n, g).
         slope: L of the residual function (V, n, p); zero where the profile states none.
         z_noise: half-widths (V, p) of the error of the regressors.
         rank_deficient: (V,) the data did not determine M (the least-norm solution was taken).
-        usable: (V, T).
+        penalty: (V, 1, T) zero where a datum counts, infinite where the place holds none.
     """
 
     matrix: Floats
@@ -75,7 +75,7 @@ class Model:
     slope: Floats
     z_noise: Floats
     rank_deficient: NDArray[np.bool_]
-    usable: NDArray[np.bool_]
+    penalty: Floats
 
 
 def least_squares(data: Transitions, ridge: float = 0.0) -> tuple[Floats, NDArray[np.bool_]]:
@@ -122,7 +122,9 @@ def fit(data: Transitions, layout: Layout, bounds: NoiseBounds, lipschitz: Lipsc
     z_noise = np.broadcast_to(z_noise, (len(matrix), len(z_noise)))
     noise = _noise_set(matrix, data, layout, bounds)
     slope = residual_slope(matrix, lipschitz)
-    return Model(matrix, data.z, residual, low, high, noise, slope, z_noise, deficient, data.usable)
+    by_data = [np.ascontiguousarray(np.swapaxes(a, 1, 2)) for a in (data.z, np.where(usable, residual, 0.0))]
+    penalty = np.where(data.usable, 0.0, np.inf)[:, None]
+    return Model(matrix, by_data[0], by_data[1], low, high, noise, slope, z_noise, deficient, penalty)
 
 
 def _noise_set(matrix: Floats, data: Transitions, layout: Layout, bounds: NoiseBounds) -> Floats:
@@ -193,10 +195,10 @@ def residual_set(model: Model, center: Floats, half: Floats, *, membership: bool
     smaller of the two sets by volume is returned. With ``L = 0`` set membership would trust every single datum
     with the whole set; the hull is taken then.
     """
-    distance = np.abs(center[:, None] - model.z) + (half + model.z_noise)[:, None]
-    drift = distance @ np.swapaxes(model.slope, 1, 2)
-    drift = np.where(model.usable[..., None], drift, np.inf)
-    nearest = drift.min(axis=1)
+    constant = (model.slope @ (half + model.z_noise)[..., None])[..., 0]
+    drift = model.slope @ np.abs(center[..., None] - model.z)
+    drift += model.penalty
+    nearest = drift.min(axis=-1) + constant
     n = center.shape[0], model.matrix.shape[1]
     identity = np.eye(n[1])
     hull_half = (model.high - model.low) / 2 + nearest
@@ -205,9 +207,9 @@ def residual_set(model: Model, center: Floats, half: Floats, *, membership: bool
     nothing = np.zeros(n[0], dtype=bool)
     if not membership:
         return ResidualSet(hull_center, hull, nothing)
-    noise_half = np.abs(model.noise).sum(axis=-1)[:, None]
-    upper = np.where(model.usable[..., None], model.residual + noise_half + drift, np.inf).min(axis=1)
-    lower = np.where(model.usable[..., None], model.residual - noise_half - drift, -np.inf).max(axis=1)
+    slack = np.abs(model.noise).sum(axis=-1) + constant
+    upper = (model.residual + drift).min(axis=-1) + slack
+    lower = (model.residual - drift).max(axis=-1) - slack
     contradicted = (lower > upper + 1e-9 * (np.abs(lower) + np.abs(upper))).any(axis=-1)
     lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
     known = (model.slope > 0).any(axis=(1, 2)) & ~contradicted

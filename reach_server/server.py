@@ -70,6 +70,7 @@ class ReachServer:
         self._tube_count = 0
         self._event_count = 0
         self._stored = 0
+        self._failures = 0
         self._repeated = 0
         self._latencies: deque[float] = deque(maxlen=10_000)
         self._compute: deque[float] = deque(maxlen=1000)
@@ -108,7 +109,12 @@ class ReachServer:
         next_status = time.monotonic()
         while not stop.is_set():
             began = time.monotonic()
-            self.tick()
+            try:
+                self.tick()
+            except Exception:
+                # One vehicle's data must not end the service of all others; the status counts it.
+                self._failures += 1
+                _log.exception("a round failed, its samples are lost")
             if began >= next_status:
                 next_status = began + STATUS_SECONDS
                 self._publish_status()
@@ -245,7 +251,7 @@ class ReachServer:
             kind="reach", instance=self.instance, t=time.time_ns(), started=self._started,
             counters={
                 "states": self.ingest.received, "stored": self._stored, "repeated": self._repeated,
-                "tubes": self._tube_count, "events": self._event_count,
+                "tubes": self._tube_count, "events": self._event_count, "failures": self._failures,
             },
             gauges={
                 "vehicles": float(len(filled)), "window_least": float(min(filled, default=0)),

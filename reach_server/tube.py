@@ -279,3 +279,20 @@ def _constrain(
         missed,
         cuts,
     )
+
+
+def join_sets(sets: list[FactorSet]) -> FactorSet:
+    """Sets one below the other, with zero columns and rows where they differ in size."""
+    n = sets[0].center.shape[1]
+    g = max(s.generators.shape[2] for s in sets)
+    rows = max(s.matrix.shape[1] for s in sets)
+
+    def padded(array: Array, *widths: int) -> Array:
+        return np.pad(array, [(0, 0), *((0, w - a) for w, a in zip(widths, array.shape[1:], strict=True))])
+
+    return FactorSet(
+        np.concatenate([s.center for s in sets]),
+        np.concatenate([padded(s.generators, n, g) for s in sets]),
+        np.concatenate([padded(s.matrix, rows, g) for s in sets]),
+        np.concatenate([padded(s.offset, rows) for s in sets]),
+    )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
+from reach_server.rows import take, with_room
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -40,17 +41,10 @@ class SampleBatch:
             np.array([s.u for s in samples], dtype=np.float64),
         )
 
-    def take(self, rows: NDArray[np.intp]) -> "SampleBatch":
+    def take(self, rows: NDArray[np.intp]) -> Self:
         """The samples of some rows."""
-        return SampleBatch(
-            self.vehicle[rows],
-            self.epoch[rows],
-            self.seq[rows],
-            self.t[rows],
-            self.flags[rows],
-            self.x[rows],
-            self.u[rows],
-        )
+        taken: Self = take(self, rows)
+        return taken
 
     @classmethod
     def join(cls, batches: list["SampleBatch"]) -> "SampleBatch":
@@ -105,19 +99,11 @@ class Window:
         self._x = np.zeros((0, self.size, n))
         self._u = np.zeros((0, self.size, m))
 
-    @property
-    def slots(self) -> int:
-        """Number of vehicle slots."""
-        return len(self._count)
-
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles; the new ones are empty."""
-        extra = slots - self.slots
-        if extra <= 0:
-            return
         for name in ("_count", "_epoch", "_seq", "_t", "_flags", "_x", "_u"):
             array = getattr(self, name)
-            setattr(self, name, np.concatenate([array, np.zeros((extra, *array.shape[1:]), dtype=array.dtype)]))
+            setattr(self, name, with_room(array, slots, array))
 
     def clear(self, slot: int) -> None:
         """Forget the samples of one vehicle."""

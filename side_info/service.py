@@ -12,7 +12,7 @@ import zenoh
 
 from fleet_bus import keys
 from fleet_bus.errors import KeyIdError, MessageError, ScenarioError
-from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, decode_states
+from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states
 from fleet_bus.pubsub import (
     CachedPublisher,
     Received,
@@ -42,8 +42,9 @@ class SideInfoService:
 
     ``assign`` is vehicle → scenario; ``*`` stands for every vehicle that it does not name, once it is seen.
     Time zero of a scenario that begins with the vehicle is the stamp of the sample that began its current
-    trajectory; when a new one begins, the assignment is published anew. Where that sample is neither on the
-    bus nor in the vehicle's cache, the first that is stands in, and the log and the status say so.
+    trajectory (flagged so, or the first of an agent's start); when a new one begins, the assignment is published anew.
+    Where that sample is neither on the bus nor in the vehicle's cache, the vehicle is not assigned, since a guess
+    could cut its sets wrongly, and the log and the status say so.
     Of the samples in the caches of vehicles, ``history`` each are asked for at the start.
     ``clock_offset`` (s) bounds how far the clocks of vehicles and scenarios differ; it goes into assignments.
 
@@ -131,7 +132,7 @@ class SideInfoService:
         for vehicle, samples in self._decode(arrived).items():
             start = self._starts[vehicle]
             start.see(samples)
-            if start.first is not None and start.started is None and vehicle not in self._searched:
+            if start.seen and start.time_zero is None and vehicle not in self._searched:
                 self._searched.add(vehicle)
                 self._search(vehicle)
             self._publish(vehicle, declared)
@@ -153,9 +154,7 @@ class SideInfoService:
         for index, refusal in refused:
             self._rejections.count(refusal, wanted[index][1].key)
         rows = [
-            row
-            for batch in batches
-            for row in zip(batch.index.tolist(), batch.t.tolist(), batch.flags.tolist(), strict=True)
+            row for batch in batches for row in zip(batch.index.tolist(), batch.t.tolist(), _flags(batch), strict=True)
         ]
         self._states += len(rows)
         samples: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
@@ -168,8 +167,8 @@ class SideInfoService:
         cached = query_cache(self._session, keys.state(vehicle), max_samples=_WHOLE_CACHE, timeout=_QUERY_TIMEOUT)
         start = self._starts[vehicle]
         start.see(self._decode(cached).get(vehicle, []))
-        if start.started is None:
-            _log.warning("start not seen: its first sample stands in", vehicle=vehicle, time_zero=start.first)
+        if start.time_zero is None:
+            _log.warning("start not seen: not assigned until a trajectory begins", vehicle=vehicle)
 
     def _scenario_of(self, vehicle: str) -> Scenario | None:
         name = self._assign.get(vehicle, self._assign.get(EVERY_VEHICLE))
@@ -199,10 +198,10 @@ class SideInfoService:
 
     def _status(self, now: int, started: int) -> ServiceStatus:
         # Only where time zero is the vehicle's own does it matter that its start was not seen.
-        guessed = sum(
+        unseen = sum(
             1
             for vehicle in self._searched
-            if self._starts[vehicle].started is None
+            if self._starts[vehicle].time_zero is None
             and (scenario := self._scenario_of(vehicle)) is not None
             and scenario.time_zero is None
         )
@@ -215,7 +214,13 @@ class SideInfoService:
             gauges={
                 "scenarios": len(self._scenarios),
                 "vehicles": len(self._assignments),
-                "starts_not_seen": guessed,
+                "starts_not_seen": unseen,
             },
             refused=self._rejections.snapshot(),
         )
+
+
+def _flags(batch: StateBatch) -> list[int]:
+    """Flags by sample, where the first sample of an agent's start begins a trajectory whether it says so or not."""
+    begins = int(StateFlag.NEW_TRAJECTORY)
+    return [f | begins if seq == 0 else f for f, seq in zip(batch.flags.tolist(), batch.seq.tolist(), strict=True)]

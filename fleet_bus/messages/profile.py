@@ -143,14 +143,6 @@ class VehicleProfile(Document):
                 rows = noise.matrix()
                 if rows.ndim != 2 or rows.shape[0] != n:
                     raise ValueError(f"noise.{what} has {len(rows)} rows, the state has {n}: {list(self.state)}")
-        if self.lipschitz is not None:
-            shape = (n, len(self.regressors))
-            for what, matrix in self.lipschitz.model_dump(include={"matrix", "lower", "upper"}).items():
-                if matrix is not None and [len(row) for row in matrix] != [shape[1]] * n:
-                    raise ValueError(
-                        f"lipschitz.{what} has rows of the lengths {[len(row) for row in matrix]}, expected {shape}: "
-                        f"rows {list(self.state)}, columns {list(self.regressors)}"
-                    )
         for role, names in self.roles.model_dump(exclude_none=True).items():
             for name in (names,) if isinstance(names, str) else names:
                 pool = self.inputs if role == "steering" else self.state
@@ -164,6 +156,15 @@ class VehicleProfile(Document):
                 raise ValueError("frame: body needs roles.position and roles.heading")
             if not self.state[self.roles.heading].angle:
                 raise ValueError(f"roles.heading names {self.roles.heading!r}, which is not marked angle: true")
+        # The columns depend on the roles, which are known to be sound here.
+        if self.lipschitz is not None:
+            shape = (n, len(self.regressors))
+            for what, matrix in self.lipschitz.model_dump(include={"matrix", "lower", "upper"}).items():
+                if matrix is not None and [len(row) for row in matrix] != [shape[1]] * n:
+                    raise ValueError(
+                        f"lipschitz.{what} has rows of the lengths {[len(row) for row in matrix]}, expected {shape}: "
+                        f"rows {list(self.state)}, columns {list(self.regressors)}"
+                    )
         if self.future_inputs in ("limits", "rate"):
             for name, spec in self.inputs.items():
                 if spec.limits is None:

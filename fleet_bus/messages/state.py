@@ -196,7 +196,7 @@ def _decode_equal(payloads: list[bytes], encoding: str, index: NDArray[np.intp])
     return StateBatch(
         index, header["epoch"], header["seq"], header["t"], header["flags"], parts[0], parts[1],
         bound if has_bound else None,
-        plan.reshape(-1, steps, m) if steps else None,
+        plan.reshape(len(payloads), steps, m) if steps else None,
         tolerance if steps else None,
     )  # fmt: skip
 

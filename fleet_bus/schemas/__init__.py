@@ -21,6 +21,7 @@ _UNSIGNED: Final = {"type": "integer", "minimum": 0, "exclusiveMaximum": 2**64}
 _TEXT: Final = {"type": "string"}
 _INDEX: Final = {"type": "integer", "minimum": 0, "maximum": 31}
 _SECONDS: Final = {"type": "number", "minimum": 0}
+_NAMES: Final = {"type": "array", "items": _TEXT, "minItems": 1, "maxItems": 32}
 _ID: Final = {"type": "string", "pattern": f"^{keys.ID_PATTERN.pattern}$"}
 
 
@@ -71,9 +72,7 @@ TUBE_FIELDS: Final[tuple[Field, ...]] = (
     Field("s", "seq", _UNSIGNED, "", "seq of that sample"),
     Field("t", "t", {"type": "integer", "exclusiveMinimum": 0, "exclusiveMaximum": 2**63}, "ns", "time of that sample"),
     Field("T", "times", _bin("<i8", "h"), "ns", "times of the h steps, 1 to 1000 of them, since the Unix epoch"),
-    Field(
-        "x", "state names", {"type": "array", "items": _TEXT, "minItems": 1, "maxItems": 32}, "", "the n states, in order"
-    ),
+    Field("x", "state names", _NAMES, "", "names of the n states, in order"),
     Field("p", "position", _list(_INDEX, _INDEX), "", "indices of the two position states"),
     Field("m", "method", _TEXT, "", "calibrated, set_membership, residual_hull or paper"),
     Field("l", "label", {"enum": [str(label) for label in Label]}, "", "what the tube claims"),

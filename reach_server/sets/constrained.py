@@ -141,6 +141,7 @@ class ConstrainedZonotope:
         q, r, cuts, empty = strip_bounds(self.center, self.generators, normal, lower, upper)
         heights = (normal[..., None, :] @ self.generators)[..., 0, :]
         acts = cuts | empty
+        heights = np.broadcast_to(heights, (*r.shape, heights.shape[-1]))
         row = np.where(acts[..., None], np.concatenate([heights, -r[..., None]], axis=-1), 0.0)
         right = np.where(acts, q - (normal * self.center).sum(axis=-1), 0.0)
         # A missed strip gets the row 0·β = 1.
@@ -219,10 +220,9 @@ class ConstrainedZonotope:
             raise SetError(f"sample takes one set, this is a batch of shape {self.batch}")
         g = self.generators.shape[-1]
         vertices = []
+        matrix, offset = support.unit_rows(self.constraint_matrix, self.constraint_offset)
         for cost in rng.normal(size=(count, g)):
-            result = linprog(
-                cost, A_eq=self.constraint_matrix, b_eq=self.constraint_offset, bounds=(-1, 1), method="highs"
-            )
+            result = linprog(cost, A_eq=matrix, b_eq=offset, bounds=(-1, 1), method="highs")
             if result.status != 0 or result.x is None:
                 raise SetError("sample: the set is empty")
             vertices.append(result.x)

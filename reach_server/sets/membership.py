@@ -8,6 +8,8 @@ from reach_server.sets.arrays import Array
 
 #: Relative accuracy of the cheap answers (the linear programs have 1e-7).
 SLACK = 1e-9
+#: Rounding errors that a point and the set may have come with, relative to their distance from the origin.
+ULPS = 8 * np.finfo(np.float64).eps
 
 
 def contains(center: Array, generators: Array, matrix: Array, offset: Array, point: Array) -> NDArray[np.bool_]:
@@ -29,12 +31,21 @@ def contains(center: Array, generators: Array, matrix: Array, offset: Array, poi
     ).reshape(count, n + rows)
     size = np.abs(stacked).sum(axis=-1)
     inside = np.zeros(count, dtype=bool)
-    possible = (np.abs(target) <= size * (1 + SLACK) + np.finfo(float).tiny).all(axis=-1)
+    # A coordinate in which the set is a point is met up to the rounding of the subtraction above.
+    rounding = np.concatenate(
+        [
+            np.broadcast_to(ULPS * (np.abs(point) + np.abs(center)), (*batch, n)),
+            np.broadcast_to(ULPS * np.abs(offset), (*batch, rows)),
+        ],
+        axis=-1,
+    ).reshape(count, n + rows)
+    possible = (np.abs(target) <= size * (1 + SLACK) + rounding + np.finfo(float).tiny).all(axis=-1)
     todo = np.flatnonzero(possible)
     if len(todo) and g:
         # Rows are scaled to size 1 so that the accuracy of the pseudoinverse is that of the set.
         scale = np.where(size[todo] > 0, size[todo], 1.0)
-        scaled, wanted = stacked[todo] / scale[..., None], target[todo] / scale
+        scaled = stacked[todo] / scale[..., None]
+        wanted = np.where(size[todo] > 0, target[todo] / scale, 0.0)
         factors = (np.linalg.pinv(scaled) @ wanted[..., None])[..., 0]
         reached = np.abs((scaled @ factors[..., None])[..., 0] - wanted).max(axis=-1) <= SLACK
         inside[todo] = reached & (np.abs(factors).max(axis=-1) <= 1 + SLACK)

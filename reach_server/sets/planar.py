@@ -56,9 +56,14 @@ def outer_polygon(heights: Array) -> Array:
     """
     count = heights.shape[-1]
     turn = 2 * np.pi / count
-    for _ in range(2):
-        implied = (np.roll(heights, 1, axis=-1) + np.roll(heights, -1, axis=-1)) / (2 * np.cos(turn))
-        heights = np.minimum(heights, implied) if count > 4 else heights
+    lowered = heights
+    # Between two directions less than half a turn apart, their bounds imply one; in the plane two are enough.
+    for before, after in combinations(range(1, (count + 1) // 2), 2):
+        left, right = before, after - before
+        implied = np.roll(heights, left, axis=-1) * np.sin(right * turn)
+        implied = (implied + np.roll(heights, -right, axis=-1) * np.sin(left * turn)) / np.sin(after * turn)
+        lowered = np.minimum(lowered, implied)
+    heights = lowered
     following = np.roll(heights, -1, axis=-1)
     unit = directions(count)
     tangent = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
@@ -74,14 +79,15 @@ def clip(vertices: Array, normal: Array, bound: Array) -> Array:
     ``bound`` (...). A polygon without a vertex inside comes back whole.
     """
     height = vertices @ normal - bound[..., None]
-    inside = np.asarray(height <= 0)
-    whole = inside.all(axis=-1) | ~inside.any(axis=-1)
+    inside = np.less_equal(height, 0.0)
+    whole = np.asarray(inside.all(axis=-1) | ~inside.any(axis=-1))
     places = []
     for neighbour in (1, -1):
         other, other_height = np.roll(vertices, neighbour, axis=-2), np.roll(height, neighbour, axis=-1)
         crosses = ~inside & (other_height <= 0)
-        drop = np.where(crosses, height - other_height, 1.0)
-        share = np.where(crosses, height / drop, 0.0)[..., None]
+        # Where a bound is infinite the heights are, but nothing crosses there.
+        above, below = np.where(crosses, height, 1.0), np.where(crosses, other_height, 0.0)
+        share = (above / (above - below))[..., None]
         point = np.where(crosses[..., None], vertices + share * (other - vertices), vertices)
         places.append((point, inside | crosses | whole[..., None]))
     points = np.stack([places[0][0], places[1][0]], axis=-2).reshape(*vertices.shape[:-2], -1, 2)
@@ -95,6 +101,8 @@ def clip(vertices: Array, normal: Array, bound: Array) -> Array:
 
 def polygon_area(vertices: Array) -> Array:
     """Area (...) of polygons with vertices (..., K, 2) in counter-clockwise order."""
+    # Far from the origin the products would round away the area.
+    vertices = vertices - vertices[..., :1, :]
     following = np.roll(vertices, -1, axis=-2)
     cross = vertices[..., 0] * following[..., 1] - vertices[..., 1] * following[..., 0]
     return np.asarray(0.5 * cross.sum(axis=-1))

@@ -64,6 +64,8 @@ def intersect_strip(
         acts = (two_sided | cuts) & ~empty
     else:
         acts = cuts
+    # A half-space at infinity that misses the set has no radius to compute with.
+    q, r = np.where(acts, q, 0.0), np.where(acts, r, 0.0)
     heights = (normal[..., None, :] @ generators)[..., 0, :]
     spread = generators @ heights[..., None]
     denominator = (heights**2).sum(axis=-1) + r**2
@@ -75,7 +77,7 @@ def intersect_strip(
     chosen = np.where(acts[..., None], chosen, 0.0)
     shift = (q - (normal * center).sum(axis=-1))[..., None]
     new_center = center + chosen * np.where(acts[..., None], shift, 0.0)
-    return new_center, _cut_generators(generators, heights, chosen, np.where(acts, r, 0.0)), empty
+    return new_center, _cut_generators(generators, heights, chosen, r), empty
 
 
 def _cut_generators(generators: Array, heights: Array, chosen: Array, radius: Array) -> Array:

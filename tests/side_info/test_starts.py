@@ -13,12 +13,12 @@ NEW, HISTORY, NONE = StateFlag.NEW_TRAJECTORY, StateFlag.HISTORY, StateFlag.NONE
     [
         ([], None),
         ([(5, NEW | HISTORY), (6, HISTORY)], None),
-        ([(5, NEW | HISTORY), (7, NONE), (8, NONE)], 7),
+        ([(5, NEW | HISTORY), (7, NONE), (8, NONE)], None),
         ([(5, NEW), (6, NONE)], 5),
         ([(3, NONE), (5, NEW), (6, NONE)], 5),
         ([(5, NEW), (6, NONE), (9, NEW | StateFlag.INPUT_MISSING)], 9),
         ([(5, NEW), (2, NEW)], 2),
-        ([(7, NONE), (6, NONE)], 6),
+        ([(7, NONE), (6, NONE)], None),
         ([(5, NEW), (9, NEW | HISTORY)], 5),
     ],
 )

@@ -1,0 +1,33 @@
+"""The demo is the product in small: every true state inside, side information makes sets smaller."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.integration.conftest import read_json, run_fleet
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.mark.parametrize("scenario", ["parking-lot", "roundabout"])
+def test_demo_holds_what_it_promises(scenario: str, tmp_path: Path) -> None:
+    summary_file, picture = tmp_path / "out.json", tmp_path / "demo.png"
+    done = run_fleet(
+        "demo", "--headless", "--scenario", scenario, "--duration", "10", "--vehicles", "2",
+        "--json", str(summary_file), "--picture", str(picture),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    summary = read_json(summary_file)
+    assert summary["failures"] == []
+    for vehicle in summary["by_vehicle"].values():
+        assert vehicle["tubes"] > 50
+        assert vehicle["checked"] > 50
+        assert vehicle["inside"] == vehicle["checked"]
+        assert vehicle["label"] == "guaranteed"
+    assert summary["horizon"]["inside"] == summary["horizon"]["checked"] > 500
+    last = summary["area"]["10"]
+    assert 0 < last["with"] < last["without"]
+    assert "m² with side information" in done.stdout
+    assert picture.stat().st_size > 10_000
+    steps = summary["evaluation"]["methods"]["default"]["steps"]
+    assert [step["step"] for step in steps] == list(range(1, 11))
