@@ -68,17 +68,17 @@ def print_summary(summary: Mapping[str, Any]) -> None:
         f"whole horizon:  {summary['horizon']['inside']} of {summary['horizon']['checked']} true states inside",
     ]
     for step, area in summary["area"].items():
+        where = "over all steps" if step == "all" else f"at step {step}"
+        share = 100 * area["with"] / area["without"] if area["without"] else 100.0
         lines.append(
-            f"mean area at step {step}: {area['with']:.4g} m² with side information, {area['without']:.4g} m² without "
-            f"({100 * area['with'] / area['without']:.1f} %)"
-            if area["without"]
-            else f"mean area at step {step}: no tube"
+            f"mean area {where}: {area['with']:.4g} m² with side information, {area['without']:.4g} m² without "
+            f"({share:.2f} %)"
         )
     latency = summary["latency_ms"]
     lines.append(f"state to tube: {latency['p50']:.1f} ms median, {latency['p99']:.1f} ms 99 %")
     events = ", ".join(f"{count} {kind}" for kind, count in summary["events"].items()) or "none"
     lines.append(f"events: {events}; messages refused: {sum(summary['refused'].values())}")
     for line in lines:
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
     for failure in summary["failures"]:
         console.print(f"[bold red]failed[/]: {failure}", highlight=False)
