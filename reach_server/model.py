@@ -188,26 +188,34 @@ class ResidualSet:
 def residual_set(model: Model, center: Floats, half: Floats, *, membership: bool) -> ResidualSet:
     """Outer bound of e on the boxes ``center ± half`` (V, p) of regressors.
 
-    ``Σ_c L_ic D_jc`` with ``D_jc = |center - z_j|_c + half_c + z_noise_c`` bounds how far e on the box is from
-    e at datum j. The residual hull needs one datum: ``hull + N + box(min_j Σ L D_j)``, which replaces the
-    covering radius of the paper and needs no covering assumption. Set membership [MN04, theorem 2] uses all:
-    ``max_j (r_j - n - Σ L D_j) <= e <= min_j (r_j + n + Σ L D_j)`` per component, n the half-widths of N; the
-    smaller of the two sets by volume is returned. With ``L = 0`` set membership would trust every single datum
-    with the whole set; the hull is taken then.
+    ``drift_j = Σ_c L_ic D_jc`` with ``D_jc = |center - z_j|_c + half_c + z_noise_c`` bounds, by component i, how far e
+    on the box is from e at datum j; this replaces the covering radius of the paper and needs no covering assumption.
+
+    *Residual hull:* ``e ∈ r_j + N + box(drift_j)`` for each datum, so ``hull + N + box(drift_j)`` for any one j. All
+    components must take the same j: with the least drift of each, a correlated N would lose values. The j of least
+    drift is taken, measured by the widths of hull and N.
+
+    *Set membership* [MN04, theorem 2] uses all data, by component, where each bound holds on its own:
+    ``max_j (r_j - n - drift_j) <= e <= min_j (r_j + n + drift_j)``, n the half-widths of N; the smaller of the two
+    sets by volume is returned. Without any bound L it would trust every single datum with the whole set; the hull is
+    taken then.
     """
     constant = (model.slope @ (half + model.z_noise)[..., None])[..., 0]
     drift = model.slope @ np.abs(center[..., None] - model.z)
     drift += model.penalty
-    nearest = drift.min(axis=-1) + constant
+    noise_half = np.abs(model.noise).sum(axis=-1)
+    width = (model.high - model.low) / 2 + noise_half + np.finfo(np.float64).tiny
+    nearest = np.argmin((1.0 / width)[:, None] @ drift, axis=-1)
+    allowance = np.take_along_axis(drift, nearest[..., None], axis=-1)[..., 0] + constant
     n = center.shape[0], model.matrix.shape[1]
     identity = np.eye(n[1])
-    hull_half = (model.high - model.low) / 2 + nearest
+    hull_half = (model.high - model.low) / 2 + allowance
     hull_center = (model.high + model.low) / 2
     hull = np.concatenate([hull_half[..., None] * identity, model.noise], axis=-1)
     nothing = np.zeros(n[0], dtype=bool)
     if not membership:
         return ResidualSet(hull_center, hull, nothing)
-    slack = np.abs(model.noise).sum(axis=-1) + constant
+    slack = noise_half + constant
     upper = (model.residual + drift).min(axis=-1) + slack
     lower = (model.residual - drift).max(axis=-1) - slack
     contradicted = (lower > upper + 1e-9 * (np.abs(lower) + np.abs(upper))).any(axis=-1)

@@ -46,7 +46,7 @@ def intersect_strip(
     """Center, generators (..., n, g + 1) of a zonotope around the intersection, and where it is certainly empty.
 
     For every vector λ the zonotope ``<c + λ(q - Hc), [(I - λH)G, λr]>`` contains the intersection with
-    ``|Hx - q| <= r`` [ABC06, prop. 1]; λ = 0 leaves the set as it is. An outer bound.
+    ``|Hx - q| <= r`` [ABC05, section 4]; λ = 0 leaves the set as it is. An outer bound.
 
     ``frobenius`` takes the λ of least Frobenius norm and the strip as given (the paper's Algorithm 2; the
     result may be larger than the set). ``tight`` first tightens the strip to the set, then takes the best of
