@@ -204,8 +204,10 @@ def residual_set(model: Model, center: Floats, half: Floats, *, membership: bool
     drift = model.slope @ np.abs(center[..., None] - model.z)
     drift += model.penalty
     noise_half = np.abs(model.noise).sum(axis=-1)
-    width = (model.high - model.low) / 2 + noise_half + np.finfo(np.float64).tiny
-    nearest = np.argmin((1.0 / width)[:, None] @ drift, axis=-1)
+    width = (model.high - model.low) / 2 + noise_half
+    widest = width.max(axis=-1, keepdims=True)
+    weight = 1.0 / np.where(widest > 0, np.maximum(width, 1e-6 * widest), 1.0)
+    nearest = np.argmin(weight[:, None] @ drift, axis=-1)
     allowance = np.take_along_axis(drift, nearest[..., None], axis=-1)[..., 0] + constant
     n = center.shape[0], model.matrix.shape[1]
     identity = np.eye(n[1])

@@ -99,7 +99,9 @@ def _cuts_of(
     directions, bounds = tangents(np.array(list(predicate.center.values())), predicate.radius)
     half = len(bounds) // 2
     normal = np.zeros((half, n))
-    normal[:, places] = directions[:half]
+    for place, column in zip(places, directions[:half].T, strict=True):
+        # A profile may map both coordinates to the same state.
+        normal[:, place] += column
     # Opposite tangents are the two sides of one strip.
     return normal, -bounds[half:], bounds[:half]
 
