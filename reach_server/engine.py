@@ -12,7 +12,7 @@ from reach_server.assignments import Assignments
 from reach_server.fitting import Models
 from reach_server.inputs import future_inputs, limits
 from reach_server.predicates import CutTable
-from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped
+from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped, wrap
 from reach_server.results import EngineEvent, Tubes
 from reach_server.rows import take, with_room
 from reach_server.sets import planar
@@ -214,7 +214,11 @@ class Engine:
         if self.method == "calibrated":
             return self._calibrated_tube(served, masks, both)
         measurement = self.bounds.measurement
+        models = self._models.of(served.slots)
         x = unwrapped(served.block, self.layout)[:, -1]
+        if self.layout.pose is None:
+            turns = list(self.layout.angles)
+            x[:, turns] = models.newest[:, turns] + wrap(x[:, turns] - models.newest[:, turns])
         start = FactorSet.zonotope(x, np.broadcast_to(measurement, (len(x), *measurement.shape)))
         u = lagged_inputs(served.block, self.layout)[:, -1].reshape(-1, self.layout.lags + 1, self.layout.m)
         inputs = future_inputs(
@@ -222,7 +226,7 @@ class Engine:
             None if known is None else known.plan, None if known is None else known.tolerance,
         )  # fmt: skip
         return propagate(
-            take(start, both), take(inputs, both), self._models.of(served.slots[both]), self.bounds.process,
+            take(start, both), take(inputs, both), take(models, both), self.bounds.process,
             self.layout, self._table, masks, cuts=self.profile.cuts, membership=self.method == "set_membership",
         )  # fmt: skip
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fleet_bus import keys
 from fleet_bus.errors import MessageError, ScenarioError
-from fleet_bus.messages import Assignment, EventKind, ScenarioDocument, StateBatch, VehicleProfile
+from fleet_bus.messages import Assignment, EventKind, ScenarioDocument, StateBatch, StateFlag, VehicleProfile
 from fleet_bus.rejections import Rejections
 from reach_server.engine import Engine, KnownInputs
 from reach_server.ingest import VehicleBatch
@@ -103,6 +103,10 @@ class Fleet:
             raise MessageError("fields", str(error)) from None
         if (scenario.name, scenario.version) != (document.scenario, document.version):
             raise MessageError("fields", f"document {document.scenario} v{document.version} holds {scenario.name}")
+        known = self._scenarios.get(scenario.name)
+        if known is not None and known.text == scenario.text:
+            # Published again: what was contradicted stays so.
+            return []
         self._scenarios[scenario.name] = scenario
         return [
             event for a in list(self._assignments.values()) if a.scenario == scenario.name for event in self._apply(a)
@@ -219,7 +223,8 @@ class Fleet:
             )
             return None
         low, high = limits(profile)
-        beyond = (states.u < low - 1e-9) | (states.u > high + 1e-9)
+        known_input = (states.flags & int(StateFlag.INPUT_MISSING) == 0)[:, None]
+        beyond = ((states.u < low - 1e-9) | (states.u > high + 1e-9)) & known_input
         if beyond.any():
             name = profile.input_names[int(np.argmax(beyond.any(axis=0)))]
             message = f"input {name} of {vehicle} leaves the limits of its profile: tubes rest on them, widen them"

@@ -64,6 +64,7 @@ class Model:
         z_noise: half-widths (V, p) of the error of the regressors.
         rank_deficient: (V,) the data did not determine M (the least-norm solution was taken).
         penalty: (V, 1, T) zero where a datum counts, infinite where the place holds none.
+        newest: state (V, n) of the newest sample; a model in which an angle is a regressor holds in its turn.
     """
 
     matrix: Floats
@@ -76,6 +77,7 @@ class Model:
     z_noise: Floats
     rank_deficient: NDArray[np.bool_]
     penalty: Floats
+    newest: Floats
 
 
 def least_squares(data: Transitions, ridge: float = 0.0) -> tuple[Floats, NDArray[np.bool_]]:
@@ -124,7 +126,7 @@ def fit(data: Transitions, layout: Layout, bounds: NoiseBounds, lipschitz: Lipsc
     slope = residual_slope(matrix, lipschitz)
     by_data = [np.ascontiguousarray(np.swapaxes(a, 1, 2)) for a in (data.z, np.where(usable, residual, 0.0))]
     penalty = np.where(data.usable, 0.0, np.inf)[:, None]
-    return Model(matrix, by_data[0], by_data[1], low, high, noise, slope, z_noise, deficient, penalty)
+    return Model(matrix, by_data[0], by_data[1], low, high, noise, slope, z_noise, deficient, penalty, data.newest)
 
 
 def _noise_set(matrix: Floats, data: Transitions, layout: Layout, bounds: NoiseBounds) -> Floats:

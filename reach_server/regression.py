@@ -95,14 +95,16 @@ def lagged_inputs(block: Block, layout: Layout) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transitions:
-    """Regressors ``z`` (B, T, p), targets (B, T, n) and which rows are usable (B, T).
+    """Regressors ``z`` (B, T, p), targets (B, T, n) and which rows are usable (B, T); ``newest`` state (B, n).
 
-    In the world frame the target is the next state, in the body frame the increment.
+    In the world frame the target is the next state, in the body frame the increment. Angles are continued along
+    each trajectory, so ``newest`` says which turn they are in.
     """
 
     z: Floats
     target: Floats
     usable: NDArray[np.bool_]
+    newest: Floats
 
 
 def transitions(block: Block, layout: Layout) -> Transitions:
@@ -117,7 +119,7 @@ def transitions(block: Block, layout: Layout) -> Transitions:
         target = increments(x, layout)
     usable = np.zeros(block.valid.shape, dtype=bool)
     usable[:, :-1] = block.linked[:, 1:] & inputs_known(block, run, layout)[:, :-1]
-    return Transitions(z, target, usable)
+    return Transitions(z, target, usable, x[:, -1])
 
 
 def inputs_known(block: Block, run: NDArray[np.int64], layout: Layout) -> NDArray[np.bool_]:

@@ -50,12 +50,12 @@ class FactorSet:
         vehicles, _, g = generators.shape
         return FactorSet(center, generators, np.zeros((vehicles, 0, g)), np.zeros((vehicles, 0)))
 
-    def reduced(self, count: int) -> "FactorSet":
-        """An enclosure with at most ``count`` generators (more if constraints ask for it)."""
+    def reduced(self, kept: int) -> "FactorSet":
+        """An enclosure by ``kept`` generators and a box."""
         z, rows = self.center.shape[-1], self.matrix.shape[-2]
         first = max(rows - MAX_ROWS, 0)
         matrix, offset = self.matrix[:, first:], self.offset[:, first:]
-        lifted = reduction.girard(np.concatenate([self.generators, matrix], axis=1), max(count, z + rows - first))
+        lifted = reduction.girard(np.concatenate([self.generators, matrix], axis=1), kept + z + rows - first)
         return FactorSet(self.center, lifted[:, :z], lifted[:, z:], offset)
 
 
@@ -93,7 +93,7 @@ def propagate(
     *,
     cuts: CutMethod = "zonotope",
     membership: bool = True,
-    max_generators: int = 40,
+    kept_generators: int = 32,
 ) -> Tube:
     """Tubes of B vehicles over the N steps of ``inputs``; every set is an outer bound.
 
@@ -116,7 +116,7 @@ def propagate(
     for k in range(horizon):
         state, wrong = _step(state, inputs.center[:, k], inputs.half[:, k], model, process, layout, membership)
         contradicted |= wrong
-        state = state.reduced(max_generators)
+        state = state.reduced(kept_generators)
         state, empty[:, k + 1], cut[:, k + 1] = apply_cuts(state, table, active[:, k + 1], cuts, layout.n)
         steps.append(_states(state, layout.n))
     return Tube(steps, empty, cut, contradicted)

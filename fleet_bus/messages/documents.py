@@ -93,8 +93,6 @@ class EventKind(StrEnum):
     CONTRADICTION = "contradiction"
     MISS = "miss"
     DATA_CONTRADICTED = "data_contradicted"
-    WINDOW_READY = "window_ready"
-    MESSAGES_REFUSED = "messages_refused"
     VEHICLE_GONE = "vehicle_gone"
 
 

@@ -16,7 +16,7 @@ def test_a_value_that_agrees_with_all_data_is_kept(membership: bool) -> None:
     zero = np.zeros((1, 2))
     model = Model(
         np.zeros((1, 2, 3)), z, np.zeros((1, 2, 2)), zero, zero, segment, slope, zero,
-        np.array([False]), np.zeros((1, 1, 2)),
+        np.array([False]), np.zeros((1, 1, 2)), zero,
     )  # fmt: skip
     bound = residual_set(model, zero, zero, membership=membership)
     assert Zonotope(bound.center, bound.generators).contains_point(np.array([[0.9, -0.9]])).all()
