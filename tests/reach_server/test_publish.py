@@ -1,0 +1,75 @@
+"""Rounding to float32 only enlarges what is sent."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet_bus.messages import Audit, Label, ReachTube
+from reach_server.publish import messages, outward_box, outward_generators
+from reach_server.results import figures
+from reach_server.tube import FactorSet
+from tests.reach_server.test_results import PLANE, none_act, table
+from tests.reach_server.ugly import assert_outlines, directions, moderate
+
+scales = st.sampled_from([1e-30, 1e-12, 1e-3, 1.0, 1e6, 1e12])
+
+
+@moderate
+@given(st.integers(0, 2**32 - 1), scales)
+def test_rounded_boxes_hold_the_exact_ones(seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    bounds = np.sort(scale * rng.normal(size=(3, 2, 4)), axis=1)
+    sent = outward_box(bounds)
+    np.testing.assert_array_equal(sent, sent.astype(np.float32))
+    assert (sent[:, 0] <= bounds[:, 0]).all()
+    assert (sent[:, 1] >= bounds[:, 1]).all()
+    np.testing.assert_allclose(sent, bounds, rtol=3e-7)
+
+
+@moderate
+@given(st.integers(0, 2**32 - 1), scales, st.integers(0, 4))
+def test_rounded_zonotopes_hold_the_exact_ones(seed: int, scale: float, extra: int) -> None:
+    rng = np.random.default_rng(seed)
+    diagonal = np.abs(rng.normal(size=(5, 3, 1))) * np.eye(3) * (rng.random((5, 1, 1)) < 0.7)
+    generators = scale * np.concatenate([rng.normal(size=(5, 3, extra)), diagonal], axis=2)
+    sent = outward_generators(generators)
+    np.testing.assert_array_equal(sent, sent.astype(np.float32))
+    d = np.concatenate([directions(3, 20), np.sign(directions(3, 20, 1))])
+    exact, rounded = np.abs(d @ generators).sum(axis=-1), np.abs(d @ sent).sum(axis=-1)
+    assert (rounded >= exact * (1 - 1e-14)).all()
+    assert (rounded <= exact + 1e-6 * (np.abs(d) @ np.abs(generators)).sum(axis=-1) + 1e-43).all()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
+    from reach_server.results import Tubes
+
+    rng = np.random.default_rng(0)
+    center = np.array([[5e6, -3e5, 1.0], [0.0, 0.0, 0.0]])
+    G = scale * rng.normal(size=(2, 3, 9)) * np.array([1.0, 1.0, 1e-3])[:, None]
+    sets = FactorSet.zonotope(center, G)
+    figure = figures(sets, np.repeat(none_act(), 2, axis=0), table(), PLANE)
+    ids = np.array([1, 1], dtype=np.uint64)
+    times = np.array([[2], [2]], dtype=np.int64)
+    tubes = Tubes(
+        ("a", "b"), ids, ids, np.array([1, 1]), times, (sets,), (sets,), figure.area[:, None], figure.area[:, None],
+        figure.outline[:, None], figure.hull[:, None], (Label.GUARANTEED,) * 2, "set_membership", ((), ()), ((), ()),
+        (), {},
+    )  # fmt: skip
+    sent = list(
+        messages(tubes, ("x", "y", "z"), PLANE, [Audit(), Audit(3, 2, 0.5)], server="s", server_epoch=1,
+                 compute_seconds=0.0)
+    )  # fmt: skip
+    assert [m.vehicle for m in sent] == ["a", "b"]
+    factors = np.sign(rng.uniform(-1, 1, (300, 9)))
+    d = directions(3, 40)
+    for row, message in enumerate(sent):
+        came = ReachTube.decode(message.encode())
+        np.testing.assert_array_equal(came.center[0], center[row])
+        points = factors @ G[row].T
+        assert_outlines(came.outline[0], points[:, :2], scale)
+        assert (came.hull[0, 0] <= points).all()
+        assert (points <= came.hull[0, 1]).all()
+        assert (np.abs(d @ came.generators[0]).sum(axis=1) >= (points @ d.T).max(axis=0)).all()
+    assert sent[1].audit == Audit(3, 2, 0.5)
