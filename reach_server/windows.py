@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
 from reach_server.rows import take, with_room
 
+#: Samples in a row before the newest stamp after which the newest stamp is no longer believed.
+RESYNC = 3
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -83,7 +86,9 @@ class Window:
 
     Samples may come in any order and more than once: they are identified by (epoch, seq) and kept sorted by
     it. A sample whose stamp does not advance within its epoch is refused, so one bad clock reading cannot
-    reorder a trajectory.
+    reorder a trajectory. When ``RESYNC`` samples in a row lie before the newest one, it is the newest one whose
+    stamp was wrong, or the clock was set back: the next is taken, and begins a trajectory since the interval to it
+    is none.
     """
 
     def __init__(self, profile: VehicleProfile, size: int | None = None) -> None:
@@ -92,6 +97,8 @@ class Window:
         self._slack = profile.tolerance * profile.sample_time_ns
         n, m = len(profile.state), len(profile.inputs)
         self._count = np.zeros(0, dtype=np.int64)
+        #: Samples in a row that were refused because they lie before the newest one.
+        self._earlier = np.zeros(0, dtype=np.int64)
         self._epoch = np.zeros((0, self.size), dtype=np.uint64)
         self._seq = np.zeros((0, self.size), dtype=np.uint64)
         self._t = np.zeros((0, self.size), dtype=np.int64)
@@ -101,13 +108,13 @@ class Window:
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles; the new ones are empty."""
-        for name in ("_count", "_epoch", "_seq", "_t", "_flags", "_x", "_u"):
+        for name in ("_count", "_earlier", "_epoch", "_seq", "_t", "_flags", "_x", "_u"):
             array = getattr(self, name)
             setattr(self, name, with_room(array, slots, array))
 
     def clear(self, slot: int) -> None:
         """Forget the samples of one vehicle."""
-        self._count[slot] = 0
+        self._count[slot] = self._earlier[slot] = 0
 
     def filled(self, slots: NDArray[np.intp]) -> Ints:
         """Samples held (B,) for some vehicles."""
@@ -151,11 +158,14 @@ class Window:
         for rows in np.split(by_round, np.cumsum(np.bincount(rank))[:-1]):
             newest = (self._count[batch.vehicle[rows]] - 1) % self.size
             vehicle = batch.vehicle[rows]
+            earlier = batch.t[rows] < self._t[vehicle, newest]
             advances = (
                 (self._count[vehicle] == 0)
                 | (self._epoch[vehicle, newest] != batch.epoch[rows])
                 | (batch.t[rows] > self._t[vehicle, newest])
+                | (earlier & (self._earlier[vehicle] >= RESYNC))
             )
+            self._earlier[vehicle] = np.where(earlier & ~advances, self._earlier[vehicle] + 1, 0)
             backwards += int((~advances).sum())
             rows, vehicle = rows[advances], vehicle[advances]
             place = self._count[vehicle] % self.size

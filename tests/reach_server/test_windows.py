@@ -167,3 +167,21 @@ def test_samples_of_messages_become_a_batch() -> None:
     joined = SampleBatch.join([batch, batch])
     assert joined.x.shape == (4, 2)
     assert window().append(SampleBatch.join([batch.take(np.zeros(0, dtype=np.intp))])) == Appended(0, 0, 0)
+
+
+def test_one_stamp_in_the_far_future_does_not_silence_a_vehicle() -> None:
+    w = window()
+    w.append(batch_of([(0, 1, 0), (0, 1, 1)]))
+    w.append(replace(batch_of([(0, 1, 2)]), t=np.array([stamp(1, 2) + 10**15])))
+    result = w.append(batch_of([(0, 1, k) for k in range(3, 10)]))
+    assert (result.stored, result.backwards) == (4, 3)
+    assert w.keys(0) == [(1, k) for k in (0, 1, 2, 6, 7, 8, 9)]
+    linked = w.block(np.array([0])).linked[0]
+    assert linked[-7:].tolist() == [False, True, False, False, True, True, True]
+
+
+def test_a_stopped_clock_is_never_believed() -> None:
+    w = window()
+    stuck = batch_of([(0, 1, k) for k in range(12)])
+    result = w.append(replace(stuck, t=np.full(12, stamp(1, 0))))
+    assert (result.stored, result.backwards) == (1, 11)
