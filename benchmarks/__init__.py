@@ -1,1 +1,1 @@
-"""Speed of the hot paths, both sides of each comparison on the same work in one run: ``python -m benchmarks``."""
+"""Speed and tightness of the hot paths, both sides of each comparison on the same work in one run."""

@@ -1,47 +1,51 @@
-"""Run all benchmarks; print Markdown, and JSON to the file given."""
+"""Run benchmarks; print a report as Markdown.
+
+Both sides of every comparison run here, one after the other, on the same sets. Peers run at their documented defaults,
+and at a tight tolerance where that matters.
+"""
 
 import argparse
 import json
 import os
-import platform
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+NAMES = ("engine", "wire", "support", "outline", "strips", "constraints", "vehicles", "growth")
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("--json", type=Path, help="write all figures here")
-    arguments = parser.parse_args()
-    import numpy
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which ones, default all: {', '.join(NAMES)}")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures here")
+    parser.add_argument("--plots", type=Path, metavar="DIR", help="draw how cost grows into this folder (PNG)")
+    parser.add_argument("--quick", action="store_true", help="few sets and repeats: does it run?")
+    arguments = parser.parse_args(words)
+    unknown = [name for name in arguments.names if name not in NAMES]
+    if unknown:
+        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}")
 
-    from benchmarks import engine, sets, wire
+    # One thread for every side, said before NumPy is loaded.
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    from benchmarks import constraints, engine, growth, outline, strips, support, vehicles, wire
+    from benchmarks.report import as_json, as_markdown, conditions
 
-    report: dict[str, Any] = {
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "numpy": numpy.__version__,
-    }
-    for name, work in (
-        ("engine", engine.run), ("supports", sets.supports), ("strips", sets.strips), ("wire", wire.run),
-    ):  # fmt: skip
+    work = {
+        "engine": engine.run, "wire": wire.run, "support": support.run, "outline": outline.run, "strips": strips.run,
+        "constraints": constraints.run, "vehicles": vehicles.run, "growth": growth.run,
+    }  # fmt: skip
+    tables = {}
+    for name in arguments.names or NAMES:
         print(f"running {name} …", file=sys.stderr)
-        report[name] = work()
-    print(f"# Benchmarks, {report['date']}\n\n{report['machine']}, NumPy {report['numpy']}; medians.\n")
-    print("| method | vehicles | µs a vehicle and update |\n| --- | ---: | ---: |")
-    for row in report["engine"]:
-        print(f"| {row['method']} | {row['vehicles']} | {row['us_a_vehicle']:.0f} |")
-    for name in ("supports", "strips", "wire"):
-        print(f"\n| {name} | |\n| --- | ---: |")
-        for key, value in report[name].items():
-            print(f"| {key} | {value:.4g} |")
+        tables[name] = work[name](arguments.quick)
+    where = conditions()
+    print(as_markdown(where, tables), end="")
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(json.dumps(as_json(where, tables), indent=2) + "\n", encoding="utf-8")
+    if arguments.plots is not None and "growth" in tables:
+        print(f"drawn: {growth.plot(tables['growth'], arguments.plots)}", file=sys.stderr)
     return 0
 
 

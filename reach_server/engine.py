@@ -15,7 +15,7 @@ from reach_server.predicates import CutTable
 from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped, wrap
 from reach_server.results import EngineEvent, Tubes
 from reach_server.rows import take, with_room
-from reach_server.sets import planar
+from reach_server.sets import planar, support
 from reach_server.tube import FactorSet, Tube, apply_cuts, propagate
 from reach_server.windows import Appended, Block, Floats, SampleBatch, Window
 from side_info import Scenario
@@ -70,6 +70,9 @@ class Engine:
         self._lipschitz = None if world_of_body else profile.lipschitz
         self._planned = planned
         self.window = Window(profile)
+        if profile.cuts == "constrained":
+            # Compiles on the first run after an installation, better here than in the middle of a round.
+            support.warm_up()
         self._models = Models(
             profile, self.layout, self.bounds, self._lipschitz,
             horizon=self.horizon, is_calibrated=self.method == "calibrated", planned=planned,

@@ -1,5 +1,8 @@
 """Checks of array arguments: shapes, finite numbers, read-only results."""
 
+from collections.abc import Sequence
+from operator import index
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,11 +25,15 @@ def checked(value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infini
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise SetError(f"{name} must be an array of numbers: {error}") from None
-    axes = array.shape[array.ndim - len(tail) :] if array.ndim >= len(tail) else None
-    if axes is None or any(want is not None and got != want for got, want in zip(axes, tail, strict=True)):
+    split = array.ndim - len(tail)
+    fits = split >= 0
+    # Every question passes here, so it is written for speed: no generator, one look at the numbers.
+    for got, want in zip(array.shape[split:] if fits else (), tail, strict=False):
+        fits = fits and (want is None or got == want)
+    if not fits:
         expected = ", ".join("…" if want is None else str(want) for want in tail)
         raise SetError(f"{name} has shape {array.shape}, expected (..., {expected})")
-    if np.isnan(array).any() or not (infinite or np.isfinite(array).all()):
+    if not np.isfinite(array).all() and (not infinite or np.isnan(array).any()):
         raise SetError(f"{name} holds NaN{'' if infinite else ' or an infinity'}")
     if array.flags.writeable:
         array = array.view()
@@ -41,6 +48,58 @@ def batch_shape(*arrays: tuple[Array, int]) -> tuple[int, ...]:
         return np.broadcast_shapes(*shapes)
     except ValueError:
         raise SetError(f"batch axes {shapes} do not go together") from None
+
+
+def checked_batch(array: Array, own: int, name: str, batch: tuple[int, ...]) -> Array:
+    """``array``, if its batch axes (all but the last ``own``) go with those of the set; ``SetError`` otherwise."""
+    axes = array.shape[: array.ndim - own]
+    try:
+        np.broadcast_shapes(axes, batch)
+    except ValueError:
+        raise SetError(f"{name} has batch axes {axes}, which do not go with {batch}, those of the set") from None
+    return array
+
+
+def checked_dimension(array: Array, axis: int, name: str) -> Array:
+    """``array``, if that axis, the dimension of the set made of it, is not of length 0; ``SetError`` otherwise."""
+    if array.shape[axis] == 0:
+        raise SetError(f"{name} has shape {array.shape}: a set needs at least one dimension")
+    return array
+
+
+def checked_count(value: int, name: str) -> int:
+    """``value`` as a whole number that is not negative; raise ``SetError`` naming the argument otherwise."""
+    try:
+        count = index(value)
+    except TypeError:
+        raise SetError(f"{name} is {value!r}, expected a whole number") from None
+    if count < 0:
+        raise SetError(f"{name} is {count}, expected no less than 0")
+    return count
+
+
+def checked_axes(axes: Sequence[int], dimension: int) -> list[int]:
+    """Coordinates of a space of that dimension, counted from 0 (or, negative, from the end); ``SetError`` otherwise."""
+    found = np.asarray(axes)
+    if found.ndim != 1 or found.size == 0 or not np.issubdtype(found.dtype, np.integer):
+        raise SetError(f"axes is {axes!r}, expected a sequence of at least one whole number")
+    if (found < -dimension).any() or (found >= dimension).any():
+        raise SetError(f"axes is {axes!r}, expected numbers from 0 to {dimension - 1}")
+    return [int(axis) for axis in found]
+
+
+def checked_bounds(bounds: tuple[ArrayLike, ArrayLike], name: str, tail: tuple[int | None, ...]) -> tuple[Array, Array]:
+    """A pair (lower, upper) of arrays whose last axes are ``tail``, infinite or not; ``SetError`` where they cross."""
+    try:
+        low, high = bounds
+    except (TypeError, ValueError):
+        raise SetError(f"{name} must be a pair (lower, upper)") from None
+    lower = checked(low, f"{name}, lower", tail, infinite=True)
+    upper = checked(high, f"{name}, upper", tail, infinite=True)
+    batch_shape((lower, len(tail)), (upper, len(tail)))
+    if (lower > upper).any():
+        raise SetError(f"{name}: lower is greater than upper somewhere")
+    return lower, upper
 
 
 def stack_columns(*blocks: Array) -> Array:

@@ -1,22 +1,56 @@
 """``ConstrainedZonotope``: ``{c + Gβ : Aβ = b, |β| <= 1}``, any number of leading batch axes ([SDB+16])."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, Union
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
+from numpy.typing import ArrayLike
 
-from reach_server.sets import membership, planar, reduction, support
-from reach_server.sets.arrays import Array, SetError, batch_shape, block_diagonal, checked, stack_columns
-from reach_server.sets.strips import strip_bounds
-from reach_server.sets.zonotope import Zonotope, _strip
+from reach_server.sets import (
+    constrained_questions,
+    constraint_reduction,
+    members,
+    membership,
+    outline,
+    planar,
+    reduction,
+    strips,
+    support,
+)
+from reach_server.sets.arrays import (
+    Array,
+    Mask,
+    SetError,
+    batch_shape,
+    block_diagonal,
+    checked,
+    checked_axes,
+    checked_batch,
+    checked_count,
+    checked_dimension,
+    stack_columns,
+)
+from reach_server.sets.constraint_reduction import Parts
+from reach_server.sets.direction import Direction, compose
+from reach_server.sets.intervals import EPS, Interval
+from reach_server.sets.support import Certificate, EmptinessCertificate, Solution
+from reach_server.sets.zonotope import ConvexSet, SampleMethod, Zonotope, _strip
+
+AnyZonotope = Union[Zonotope, "ConstrainedZonotope"]
 
 
 @dataclass(frozen=True, eq=False)
 class ConstrainedZonotope:
     """Sets with ``center`` (..., n), ``generators`` (..., n, g), ``constraint_matrix`` (..., c, g) and
     ``constraint_offset`` (..., c); may be empty.
+
+    ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
+    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: the arrays carry the rounding of their own
+    sums and products. Numbers that come back as bounds (``support``, ``interval_hull``, ``polygon``, the outer end of a
+    bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf, -inf], a polygon
+    of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
 
     Raises ``SetError`` for wrong shapes, NaN or infinities, and for dimension 0.
     """
@@ -25,9 +59,10 @@ class ConstrainedZonotope:
     generators: Array
     constraint_matrix: Array
     constraint_offset: Array
+    direction: Direction = Direction.EXACT
 
     def __post_init__(self) -> None:
-        zonotope = Zonotope(self.center, self.generators)
+        zonotope = Zonotope(self.center, self.generators, self.direction)
         matrix = checked(self.constraint_matrix, "constraint_matrix", (None, zonotope.generators.shape[-1]))
         offset = checked(self.constraint_offset, "constraint_offset", (matrix.shape[-2],))
         batch_shape((zonotope.center, 1), (zonotope.generators, 2), (matrix, 2), (offset, 1))
@@ -43,190 +78,488 @@ class ConstrainedZonotope:
     def from_zonotope(cls, zonotope: Zonotope) -> Self:
         """The same set without constraints: exact."""
         g = zonotope.generators.shape[-1]
-        return cls(zonotope.center, zonotope.generators, np.zeros((0, g)), np.zeros(0))
+        return cls(zonotope.center, zonotope.generators, np.zeros((0, g)), np.zeros(0), zonotope.direction)
+
+    @classmethod
+    def box(cls, lower: ArrayLike, upper: ArrayLike) -> Self:
+        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards by 1 ulp where not
+        exact."""
+        return cls.from_zonotope(Zonotope.box(lower, upper))
+
+    @classmethod
+    def from_interval(cls, interval: Interval | tuple[ArrayLike, ArrayLike]) -> Self:
+        """The box of an ``Interval`` of shape (..., n), or of a pair (lower, upper): exact, as ``box``.
+
+        Raises ``SetError`` for empty and for unbounded intervals.
+        """
+        return cls.from_zonotope(Zonotope.from_interval(interval))
+
+    @classmethod
+    def point(cls, x: ArrayLike) -> Self:
+        """The set of the point ``x`` (..., n) alone: exact."""
+        return cls.from_zonotope(Zonotope.point(x))
 
     @property
     def batch(self) -> tuple[int, ...]:
         """The batch axes."""
-        return batch_shape(
-            (self.center, 1), (self.generators, 2), (self.constraint_matrix, 2), (self.constraint_offset, 1)
-        )
+        return batch_shape(*self._own_axes())
 
     @property
     def dimension(self) -> int:
         """The dimension n of the space."""
         return int(self.center.shape[-1])
 
-    def _with(self, center: Array, generators: Array) -> Self:
-        return type(self)(center, generators, self.constraint_matrix, self.constraint_offset)
-
     def linear_map(self, matrix: ArrayLike) -> Self:
         """The image under ``matrix`` (..., k, n): exact."""
-        m = checked(matrix, "matrix", (None, self.dimension))
+        m = checked_dimension(self._argument(matrix, "matrix", (None, self.dimension)), -2, "matrix")
         return self._with((m @ self.center[..., None])[..., 0], m @ self.generators)
+
+    def affine_map(self, matrix: ArrayLike, offset: ArrayLike) -> Self:
+        """The image ``{Mx + t}`` for ``matrix`` (..., k, n) and ``offset`` (..., k): exact."""
+        return self.linear_map(matrix).translate(offset)
+
+    def scale(self, factor: ArrayLike) -> Self:
+        """The set of ``factor * x`` for ``factor`` (...), of either sign: exact."""
+        f = self._argument(factor, "factor", ())
+        return self._with(f[..., None] * self.center, f[..., None, None] * self.generators)
 
     def translate(self, offset: ArrayLike) -> Self:
         """The set moved by ``offset`` (..., n): exact."""
-        return self._with(self.center + checked(offset, "offset", (self.dimension,)), self.generators)
+        return self._with(self.center + self._argument(offset, "offset", (self.dimension,)), self.generators)
 
-    def project(self, axes: tuple[int, ...]) -> Self:
-        """The projection on some coordinates: exact."""
-        return self._with(self.center[..., axes], self.generators[..., axes, :])
+    def project(self, axes: Sequence[int]) -> Self:
+        """The projection on the coordinates ``axes``, in that order: exact."""
+        kept = checked_axes(axes, self.dimension)
+        return self._with(self.center[..., kept], self.generators[..., kept, :])
 
-    def minkowski_sum(self, other: "Zonotope | ConstrainedZonotope") -> Self:
+    def minkowski_sum(self, other: AnyZonotope) -> Self:
         """``{a + b}``: exact [SDB+16, prop. 1]."""
-        matrix, offset = self._joined_constraints(other)
-        center = self.center + other.center
-        return type(self)(center, stack_columns(self.generators, other.generators), matrix, offset)
+        added = self._other(other)
+        matrix, offset = self._joined_constraints(added)
+        generators = stack_columns(self.generators, added.generators)
+        return self._made(self.center + added.center, generators, matrix, offset, added.direction)
 
-    def cartesian_product(self, other: "Zonotope | ConstrainedZonotope") -> Self:
+    def cartesian_product(self, other: AnyZonotope) -> Self:
         """``{(a, b)}``: exact."""
-        matrix, offset = self._joined_constraints(other)
-        batch = np.broadcast_shapes(self.batch, other.batch)
-        centers = [np.broadcast_to(z.center, (*batch, z.dimension)) for z in (self, other)]
-        generators = block_diagonal(self.generators, other.generators)
-        return type(self)(np.concatenate(centers, axis=-1), generators, matrix, offset)
+        second = self._other(other, same_space=False)
+        matrix, offset = self._joined_constraints(second)
+        batch = np.broadcast_shapes(self.batch, second.batch)
+        center = np.concatenate([np.broadcast_to(z.center, (*batch, z.dimension)) for z in (self, second)], axis=-1)
+        return self._made(center, block_diagonal(self.generators, second.generators), matrix, offset, second.direction)
 
-    def _joined_constraints(self, other: "Zonotope | ConstrainedZonotope") -> tuple[Array, Array]:
-        if isinstance(other, Zonotope):
-            other = ConstrainedZonotope.from_zonotope(other)
-        matrix = block_diagonal(self.constraint_matrix, other.constraint_matrix)
-        batch = matrix.shape[:-2]
-        batch = np.broadcast_shapes(batch, self.constraint_offset.shape[:-1], other.constraint_offset.shape[:-1])
-        offsets = (self.constraint_offset, other.constraint_offset)
-        return matrix, np.concatenate([np.broadcast_to(o, (*batch, o.shape[-1])) for o in offsets], axis=-1)
+    def convex_hull(self, other: AnyZonotope) -> Self:
+        """The least convex set around both: exact [RK22, theorem 5].
 
-    def reduce_order(self, order: float) -> Self:
-        """An enclosing set with at most ``order * n`` generators (at least n plus the constraints): outer.
-
-        The zonotope of ``(Gβ, Aβ)`` is enclosed as one and the constraints are kept [SDB+16, section 4.2].
+        With g1, g2 generators and c1, c2 rows it has ``3 (g1 + g2) + 1`` generators and ``c1 + c2 + 2 (g1 + g2)`` rows.
+        An empty set adds nothing.
         """
-        n, rows = self.dimension, self.constraint_matrix.shape[-2]
-        lifted = np.concatenate(self._broadcast_factors(), axis=-2)
-        reduced = reduction.girard(lifted, max(int(order * n), n + rows))
-        return type(self)(self.center, reduced[..., :n, :], reduced[..., n:, :], self.constraint_offset)
-
-    def _broadcast_factors(self) -> tuple[Array, Array]:
-        batch = np.broadcast_shapes(self.generators.shape[:-2], self.constraint_matrix.shape[:-2])
-        g = self.generators.shape[-1]
-        return (
-            np.broadcast_to(self.generators, (*batch, self.dimension, g)),
-            np.broadcast_to(self.constraint_matrix, (*batch, self.constraint_matrix.shape[-2], g)),
-        )
-
-    def keep_newest_constraints(self, count: int) -> Self:
-        """The set without its oldest constraints, at most ``count`` are left: outer."""
-        rows = self.constraint_matrix.shape[-2]
-        first = max(rows - count, 0)
-        return type(self)(
-            self.center,
-            self.generators,
-            self.constraint_matrix[..., first:, :],
-            self.constraint_offset[..., first:],
-        )
+        second = self._other(other)
+        g1, g2 = self.generators.shape[-1], second.generators.shape[-1]
+        g = g1 + g2
+        batch = np.broadcast_shapes(self.batch, second.batch)
+        # x = λ x1 + (1 - λ) x2 with λ = (1 + ξ)/2; factors (λβ1, (1 - λ)β2, ξ, slacks).
+        half_shift = np.broadcast_to((self.center - second.center)[..., None] / 2, (*batch, self.dimension, 1))
+        generators = stack_columns(self.generators, second.generators, half_shift, np.zeros((self.dimension, 2 * g)))
+        joined, offset = self._joined_constraints(second)
+        rows = joined.shape[-2]
+        first_rows = self.constraint_matrix.shape[-2]
+        matrix = np.zeros((*batch, rows + 2 * g, 3 * g + 1))
+        right = np.full((*batch, rows + 2 * g), -0.5)
+        matrix[..., :rows, :g] = joined
+        sign = np.where(np.arange(rows) < first_rows, -0.5, 0.5)
+        matrix[..., :rows, g] = sign * offset
+        right[..., :rows] = offset / 2
+        # |λβ1| <= λ and |(1 - λ)β2| <= 1 - λ, each side with a slack.
+        own = np.where(np.arange(g) < g1, -0.5, 0.5)
+        matrix[..., rows:, :g] = np.concatenate([np.eye(g), -np.eye(g)])
+        matrix[..., rows:, g] = np.concatenate([own, own])
+        matrix[..., rows:, g + 1 :] = np.eye(2 * g)
+        return self._made((self.center + second.center) / 2, generators, matrix, right, second.direction)
 
     def intersect_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> Self:
         """The part with ``|Hx - q| <= r`` (H (..., n); r = inf: inactive): exact, one factor and one row more.
 
-        The paper's Algorithm 3 with the new columns of G zero, on the strip tightened to the zonotope. Where
-        that strip is certainly missed, the row added cannot be met: the result is empty.
+        Algorithm 3 of [AJS+22] with the new columns of G zero, on the strip tightened to the zonotope. Where that strip
+        is certainly missed, the row added cannot be met: the result is empty.
         """
-        return self._cut(checked(H, "H", (self.dimension,)), *_strip(q, r))
+        normal = self._argument(H, "H", (self.dimension,))
+        self._argument(q, "q", ())
+        self._argument(r, "r", (), infinite=True)
+        lower, upper = _strip(q, r)
+        return self._cut(normal[..., None, :], lower[..., None], upper[..., None])
 
     def intersect_halfspace(self, H: ArrayLike, q: ArrayLike) -> Self:
-        """The part with ``Hx <= q``: exact, one factor and one row more."""
-        return self._cut(checked(H, "H", (self.dimension,)), np.asarray(-np.inf), checked(q, "q", (), infinite=True))
+        """The part with ``Hx <= q`` (q = inf: inactive): exact, one factor and one row more."""
+        normal = self._argument(H, "H", (self.dimension,))
+        bound = self._argument(q, "q", (), infinite=True)
+        return self._cut(normal[..., None, :], np.full(1, -np.inf), bound[..., None])
 
-    def _cut(self, normal: Array, lower: Array, upper: Array) -> Self:
-        q, r, cuts, empty = strip_bounds(self.center, self.generators, normal, lower, upper)
-        heights = (normal[..., None, :] @ self.generators)[..., 0, :]
-        acts = cuts | empty
-        heights = np.broadcast_to(heights, (*r.shape, heights.shape[-1]))
-        row = np.where(acts[..., None], np.concatenate([heights, -r[..., None]], axis=-1), 0.0)
-        right = np.where(acts, q - (normal * self.center).sum(axis=-1), 0.0)
+    def intersect_tangents(self, H: ArrayLike, q: ArrayLike) -> Self:
+        """The part with ``Hx <= q`` for all rows of H (..., K, n), q (..., K) (q = inf: inactive): exact, K factors and
+        rows more."""
+        normals = self._argument(H, "H", (None, self.dimension))
+        bounds = self._argument(q, "q", (normals.shape[-2],), infinite=True)
+        return self._cut(normals, np.full(1, -np.inf), bounds)
+
+    def intersect_linearised(
+        self, J: ArrayLike, h0: ArrayLike, remainder: tuple[ArrayLike, ArrayLike], r: ArrayLike
+    ) -> Self:
+        """An enclosure of the part with ``|h(x)| <= r`` where ``h(x)`` is in ``h0 + J(x - center) + [lower, upper]``.
+
+        J (..., n); h0, lower, upper and r (...); an infinite remainder or r is inactive; outer: one factor and one row
+        more. Algorithm 3 of [AJS+22] with its two columns -r and G_L added up: the strip ``|J(x - c) + h0 + mid| <= r +
+        rad``, rounded outwards.
+        """
+        normal = self._argument(J, "J", (self.dimension,))
+        lower, upper = strips.linearised(normal, self.center, h0, remainder, r, self.batch)
+        return self._cut(normal[..., None, :], lower[..., None], upper[..., None], Direction.OUTER)
+
+    def intersection(self, other: AnyZonotope, matrix: ArrayLike | None = None) -> Self:
+        """``{x in self : Rx in other}`` (R = ``matrix`` (..., k, n), None: identity): exact [SDB+16, prop. 1]."""
+        second = self._other(other, same_space=matrix is None)
+        m = np.eye(self.dimension) if matrix is None else self._argument(matrix, "matrix", (None, self.dimension))
+        if m.shape[-2] != second.dimension:
+            raise SetError(
+                f"matrix has shape {m.shape}, other has dimension {second.dimension}: expected "
+                f"(..., {second.dimension}, {self.dimension})"
+            )
+        joined, offset = self._joined_constraints(second)
+        heights = stack_columns(m @ self.generators, -second.generators)
+        right = second.center - (m @ self.center[..., None])[..., 0]
+        batch = np.broadcast_shapes(joined.shape[:-2], offset.shape[:-1], heights.shape[:-2], right.shape[:-1])
+        rows = [np.broadcast_to(a, batch + a.shape[-2:]) for a in (joined, heights)]
+        offsets = [np.broadcast_to(a, batch + a.shape[-1:]) for a in (offset, right)]
+        generators = stack_columns(self.generators, np.zeros((self.dimension, second.generators.shape[-1])))
+        return self._made(
+            self.center, generators, np.concatenate(rows, axis=-2), np.concatenate(offsets, axis=-1), second.direction
+        )
+
+    def _cut(self, normals: Array, lower: Array, upper: Array, step: Direction = Direction.EXACT) -> Self:
+        """The part with ``lower <= normals @ x <= upper`` (..., K, n), (..., K)."""
+        q, r, cuts, empty = strips.strip_bounds(
+            self.center[..., None, :], self.generators[..., None, :, :], normals, lower, upper
+        )
+        acts = cuts & ~empty
+        heights = normals @ self.generators
+        middle = (normals @ self.center[..., None])[..., 0]
+        batch = batch_shape((r, 1), *self._own_axes())
+        count, g = normals.shape[-2], self.generators.shape[-1]
+        rows = self.constraint_matrix.shape[-2]
+        matrix = np.zeros((*batch, rows + count, g + count))
+        offset = np.zeros((*batch, rows + count))
+        matrix[..., :rows, :g] = self.constraint_matrix
+        offset[..., :rows] = self.constraint_offset
+        matrix[..., rows:, :g] = np.where(acts[..., None], heights, 0.0)
+        matrix[..., rows:, g:] = np.where(acts, -r, 0.0)[..., None] * np.eye(count)
         # A missed strip gets the row 0·β = 1.
-        row, right = np.where(empty[..., None], 0.0, row), np.where(empty, 1.0, right)
-        old = np.concatenate([self.constraint_matrix, np.zeros((*self.constraint_matrix.shape[:-1], 1))], axis=-1)
-        batch = np.broadcast_shapes(old.shape[:-2], row.shape[:-1], self.constraint_offset.shape[:-1])
-        rows, g = old.shape[-2:]
-        matrix = np.concatenate(
-            [np.broadcast_to(old, (*batch, rows, g)), np.broadcast_to(row, (*batch, g))[..., None, :]],
-            axis=-2,
-        )
-        offset = np.concatenate(
-            [
-                np.broadcast_to(self.constraint_offset, (*batch, rows)),
-                np.broadcast_to(right, batch)[..., None],
-            ],
-            axis=-1,
-        )
-        zero = np.zeros((*self.generators.shape[:-1], 1))
-        return type(self)(self.center, np.concatenate([self.generators, zero], axis=-1), matrix, offset)
+        offset[..., rows:] = np.where(empty, 1.0, np.where(acts, q - middle, 0.0))
+        generators = np.concatenate([self.generators, np.zeros((*self.generators.shape[:-1], count))], axis=-1)
+        return self._made(self.center, generators, matrix, offset, step)
 
-    def support(self, d: ArrayLike) -> Array:
-        """Upper bound of ``d·x`` for directions ``d`` (..., K, n), shape (..., K): outer, certified by duality."""
-        return support.constrained_support(
+    def reduce_order(self, order: float, method: reduction.ReductionMethod = "girard") -> Self:
+        """An enclosing set with at most ``order * n`` generators (at least n plus the constraints): outer; the same set
+        if there are no more.
+
+        The zonotope of ``(Gβ, Aβ)`` is enclosed as one and the constraints are kept [SDB+16, section 4.1]; methods as
+        for zonotopes. It gains from ``rescale`` and ``reduce_constraints`` beforehand.
+        """
+        count = reduction.generator_count(order, self.dimension)
+        n, rows = self.dimension, self.constraint_matrix.shape[-2]
+        lifted = stack_rows(self.generators, self.constraint_matrix)
+        # Powers of two, which round nothing: generators of unlike coordinates and rows are ranked alike.
+        widths = np.abs(lifted).sum(axis=-1, keepdims=True)
+        unit = np.where(widths > 0, np.ldexp(1.0, np.frexp(widths)[1]), 1.0)
+        reduced = unit * reduction.reduce_generators(lifted / unit, max(count, n + rows), method)
+        same = reduced.shape[-1] == lifted.shape[-1]
+        if same:
+            return self
+        return self._made(
+            self.center, reduced[..., :n, :], reduced[..., n:, :], self.constraint_offset, Direction.OUTER
+        )
+
+    def reduce_constraints(self, count: int, candidates: int = 2) -> Self:
+        """An enclosing set with at most ``count`` constraints (and a generator less for each that went): outer; the
+        same set if there are no more.
+
+        One by one, after rescaling ([SDB+16, section 4.2]; see ``constraint_reduction.reduce_constraints``); more
+        ``candidates`` take longer and give smaller sets. An empty set may become one that is not.
+        """
+        kept = checked_count(count, "count")
+        if kept >= self.constraint_matrix.shape[-2]:
+            return self
+        tried = max(checked_count(candidates, "candidates"), 1)
+        return self._made(*constraint_reduction.reduce_constraints(self._parts, kept, tried), Direction.OUTER)
+
+    def keep_newest_constraints(self, count: int) -> Self:
+        """The set without its oldest constraints, at most ``count`` are left: outer."""
+        rows = self.constraint_matrix.shape[-2]
+        first = max(rows - checked_count(count, "count"), 0)
+        return self._made(
             self.center,
             self.generators,
-            self.constraint_matrix,
-            self.constraint_offset,
-            checked(d, "d", (None, self.dimension)),
+            self.constraint_matrix[..., first:, :],
+            self.constraint_offset[..., first:],
+            Direction.OUTER if first else Direction.EXACT,
         )
 
+    def rescale(self) -> Self:
+        """The same set over factors that each reach both of their bounds: exact [SDB+16, section 4.2]."""
+        return self._made(*constraint_reduction.rescale(self._parts))
+
+    def simplify(self) -> Self:
+        """The same set without redundant rows and columns: exact (see ``constraint_reduction.simplify``). A batch keeps
+        as many of each as its largest set needs."""
+        return self._made(*constraint_reduction.simplify(self._parts))
+
+    def support(self, d: ArrayLike) -> Array:
+        """Upper bound of ``d·x`` for directions ``d`` (..., K, n), shape (..., K): outer, certified by duality and
+        tight up to rounding; -inf where the set is certainly empty."""
+        found = self._solve(d)
+        return np.where(found.empty, -np.inf, found.bound)
+
+    def support_certificate(self, d: ArrayLike) -> Certificate:
+        """The bounds of ``support`` for ``d`` (..., K, n) with the dual weights that prove them: outer."""
+        found = self._solve(d)
+        empty = found.empty
+        weights = np.where(empty[..., None], found.ray[..., None, :], found.weights)
+        return Certificate(np.where(empty, -np.inf, found.bound), weights)
+
+    def _solve(self, d: ArrayLike) -> Solution:
+        directions = self._argument(d, "d", (None, self.dimension))
+        return support.solve(self.center, self.generators, self.constraint_matrix, self.constraint_offset, directions)
+
     def interval_hull(self) -> tuple[Array, Array]:
-        """A box around the set, (lower (..., n), upper (..., n)): outer, certified by duality."""
+        """Least box around the set, (lower (..., n), upper (..., n)): outer, certified by duality, tight up to
+        rounding; (inf, -inf) where the set is certainly empty."""
         unit = np.eye(self.dimension)
         bounds = self.support(np.concatenate([unit, -unit]))
         n = self.dimension
         return -bounds[..., n:], bounds[..., :n]
 
-    def enclosing_zonotope(self) -> Zonotope:
-        """The zonotope without the constraints: outer."""
-        return Zonotope(self.center, self.generators)
+    def is_empty(self) -> Mask:
+        """True (...) where the set is certainly empty (Farkas certificate); False: none was found, which is exact up to
+        a margin of 1e-9."""
+        return self.emptiness_certificate().empty
 
-    def polygon(self, count: int = 32) -> Array:
-        """Vertices (..., count, 2) of a polygon around planar sets: outer, certified in ``count`` directions."""
-        if self.dimension != 2:
-            raise SetError(f"polygon needs a planar set, this one has dimension {self.dimension}: project it first")
-        return planar.outer_polygon(self.support(planar.directions(count)))
+    def emptiness_certificate(self) -> EmptinessCertificate:
+        """Where the set is certainly empty, with the Farkas weights (..., c) that prove it."""
+        found = support.farkas(self.constraint_matrix, self.constraint_offset)
+        batch = self.batch
+        if found.empty.shape == batch:
+            return found
+        weights = np.broadcast_to(found.weights, batch + found.weights.shape[-1:])
+        return EmptinessCertificate(np.broadcast_to(found.empty, batch), weights)
 
-    def area(self, count: int = 32) -> Array:
-        """Area (...) of ``polygon(count)``: an upper bound of the set's area."""
-        return np.maximum(planar.polygon_area(self.polygon(count)), 0.0)
+    def polygon(self, count: int | None = None) -> Array:
+        """Vertices (..., V, 2) of planar sets, counter-clockwise: exact up to 1e-9 of the set's extent, and outer; sets
+        with fewer vertices than V repeat the last one. With ``count`` (at least 3): that many vertices of an outer
+        polygon, certified in ``planar.directions(count)``."""
+        self._planar("polygon")
+        if count is None:
+            return self._outline().outer
+        if checked_count(count, "count") < 3:
+            raise SetError(f"count is {count}, expected no less than 3")
+        # About the center: far from the origin, products with the directions would round away the shape.
+        found = support.solve(
+            np.zeros(2), self.generators, self.constraint_matrix, self.constraint_offset, planar.directions(count)
+        )
+        heights = found.bound + 4 * EPS * np.abs(self.center).sum(axis=-1)[..., None]
+        vertices = self.center[..., None, :] + planar.outer_polygon(heights)
+        return np.where(found.empty[..., None], np.nan, vertices)
+
+    def _outline(self) -> outline.Outline:
+        return outline.outline(self.center, self.generators, self.constraint_matrix, self.constraint_offset)
+
+    def area(self) -> Array:
+        """Area (...) of planar sets: exact up to 1e-9 of the squared extent, never below the true area."""
+        self._planar("area")
+        return self.area_bracket()[1]
+
+    def area_bracket(self) -> tuple[Array, Array]:
+        """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, and of
+        ``polygon()``."""
+        self._planar("area_bracket")
+        # About the origin: far from it, rounding of the vertices would show.
+        found = outline.outline(np.zeros(2), self.generators, self.constraint_matrix, self.constraint_offset)
+        inner, outer = (planar.polygon_area(np.nan_to_num(v)) for v in (found.inner, found.outer))
+        inner, outer = np.maximum(np.minimum(inner, outer), 0.0), np.maximum(outer, 0.0)
+        return np.broadcast_to(inner * (1 - 1e-12), self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
 
     def volume(self) -> Array:
-        """An upper bound (...) of the volume: the polygon's area in the plane, else that of the interval hull."""
-        if self.dimension == 2:
-            return self.area()
-        lower, upper = self.interval_hull()
-        return np.asarray(np.maximum(upper - lower, 0.0).prod(axis=-1))
+        """Volume (...): exact in one and two dimensions up to rounding and never below the true one, beyond the outer
+        end of ``volume_bracket``."""
+        return self.volume_bracket()[1]
 
-    def contains_point(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """True (...) where the point (..., n) lies in the set, up to 1e-7 of its size: exact."""
-        point = checked(x, "x", (self.dimension,))
-        return membership.contains(self.center, self.generators, self.constraint_matrix, self.constraint_offset, point)
+    def volume_bracket(self) -> tuple[Array, Array]:
+        """(inner, outer) bounds (...) of the volume: from attained points and from certified directions.
 
-    def is_empty(self) -> NDArray[np.bool_]:
-        """True (...) where the set is certainly empty (Farkas certificate); False says that none was found."""
-        found = support.emptiness_certificate(self.constraint_matrix, self.constraint_offset)
-        return np.broadcast_to(found, self.batch)
-
-    def sample(self, rng: np.random.Generator, count: int) -> Array:
-        """Members (count, n) of one set (batch ``()``), vertices of random directions and their mixtures.
-
-        Raises ``SetError`` for a batch and for an empty set.
+        In three to five dimensions they are refined to 1e-3 of each other, or for four rounds, set by set; beyond, the
+        inner bound is 0 and the outer one that of the interval hull.
         """
-        if self.batch:
-            raise SetError(f"sample takes one set, this is a batch of shape {self.batch}")
-        g = self.generators.shape[-1]
-        vertices = []
-        matrix, offset = support.unit_rows(self.constraint_matrix, self.constraint_offset)
-        for cost in rng.normal(size=(count, g)):
-            result = linprog(cost, A_eq=matrix, b_eq=offset, bounds=(-1, 1), method="highs")
-            if result.status != 0 or result.x is None:
-                raise SetError("sample: the set is empty")
-            vertices.append(result.x)
-        factors = np.stack(vertices)
-        weights = rng.dirichlet(np.full(count, 0.5), size=count // 2)
-        factors[: count // 2] = weights @ factors
-        return np.asarray(self.center + factors @ self.generators.T)
+        if self.dimension == 2:
+            return self.area_bracket()
+        if self.dimension == 1:
+            lower, upper = self.interval_hull()
+            width = np.maximum(upper - lower, 0.0)[..., 0]
+            return np.maximum(width - 1e-9 * np.abs(self.generators).sum(axis=(-2, -1)), 0.0), width
+        parts = constraint_reduction.common_batch(self._parts)
+        batch = self.batch
+        found = np.zeros((*batch, 2))
+        for place in np.ndindex(*batch):
+            found[place] = constrained_questions.volume_bracket(constraint_reduction.at(parts, place))
+        return found[..., 0], found[..., 1]
+
+    def enclosing_zonotope(self) -> Zonotope:
+        """A zonotope around the set: outer, the set itself without constraints.
+
+        The smallest of four (by area, or by the widths): the generators without the constraints, the same rescaled, all
+        constraints eliminated, and the interval hull. n generators more hold what rounding may have lost.
+        """
+        n, rows = self.dimension, self.constraint_matrix.shape[-2]
+        if not rows:
+            return Zonotope(self.center, self.generators, self.direction)
+        parts = constraint_reduction.common_batch(self._parts)
+        g = max(parts[1].shape[-1], n)
+        rescaled = constraint_reduction.rescale(parts)
+        eliminated = constraint_reduction.reduce_constraints(parts, 0, 1)
+        lower, upper = self.interval_hull()
+        inhabited = np.isfinite(lower).all(axis=-1, keepdims=True)
+        interval = Interval(np.where(inhabited, lower, parts[0]), np.where(inhabited, upper, parts[0]))
+        hull = (interval.midpoint, interval.radius[..., None] * np.eye(n))
+        options = [parts[:2], rescaled[:2], eliminated[:2], hull]
+        centers = np.stack([np.broadcast_to(c, parts[0].shape) for c, _ in options], axis=-2)
+        padded = np.zeros((*parts[1].shape[:-2], len(options), n, g))
+        for k, (_, generators) in enumerate(options):
+            padded[..., k, :, : generators.shape[-1]] = generators
+        best = strips.log_size(padded, None).argmin(axis=-1)[..., None, None]
+        center = np.take_along_axis(centers, best, axis=-2)[..., 0, :]
+        generators = np.take_along_axis(padded, best[..., None], axis=-3)[..., 0, :, :]
+        # What sums and elimination may have lost; flat sets show it.
+        size = np.abs(parts[1]).sum(axis=-1)
+        terms = np.abs(generators).sum(axis=-1) + np.abs(parts[0]) + np.abs(center)
+        rounding = (64 * EPS * terms + 1e-12 * size)[..., None] * np.eye(n)
+        return Zonotope(center, stack_columns(generators, rounding), compose(self.direction, Direction.OUTER))
+
+    def contains_point(self, x: ArrayLike) -> Mask:
+        """True (...) where the point (..., n) lies in the set, up to 1e-7 of its size: exact."""
+        return self._reach(x)[0]
+
+    def factors_of(self, x: ArrayLike) -> Array:
+        """Factors β (..., g) with ``c + Gβ = x``, ``Aβ = b`` and ``|β| <= 1``, up to 1e-7 of the set's size; rows of
+        NaN where the point (..., n) is not in the set."""
+        return self._reach(x)[1]
+
+    def _reach(self, x: ArrayLike) -> tuple[Mask, Array]:
+        point = self._argument(x, "x", (self.dimension,))
+        return membership.reach(*self._parts, point)
+
+    def contains_set(self, other: ConvexSet) -> Mask:
+        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
+
+        In the plane the outlines decide, up to that margin both ways, and in one dimension the intervals; beyond, a
+        sufficient linear program for each pair (an affine map between the factors, [ST19]). An empty ``other`` lies in
+        all.
+        """
+        inner = self._other(other)
+        batch = batch_shape(*self._own_axes(), *inner._own_axes())
+        empty = inner.is_empty()
+        if self.dimension == 1:
+            reach = np.abs(self.generators).sum(axis=-1)
+            slack = constrained_questions.SLACK * reach + 4 * EPS * (np.abs(self.center) + np.abs(inner.center))
+            low, high = self.interval_hull()
+            inner_low, inner_high = inner.interval_hull()
+            inside = ((low <= inner_low + slack) & (inner_high <= high + slack)).all(axis=-1) & ~self.is_empty()
+            return np.broadcast_to(inside | empty, batch)
+        if self.dimension == 2:
+            mine, theirs = self._outline(), inner._outline()
+            size = np.abs(self.generators).sum(axis=(-2, -1))
+            size = size + 8 * EPS / constrained_questions.SLACK * np.abs(self.center).sum(axis=-1)
+            inside = constrained_questions.polygon_contains(mine.normals, mine.heights, size, theirs.outer)
+            return np.broadcast_to((inside & mine.exact & ~mine.empty) | empty, batch)
+        mine_parts = constraint_reduction.common_batch(self._parts, batch)
+        inner_parts = constraint_reduction.common_batch(inner._parts, batch)
+        found = np.array(np.broadcast_to(empty, batch))
+        for place in np.argwhere(~found):
+            pair = (constraint_reduction.at(parts, tuple(place)) for parts in (mine_parts, inner_parts))
+            found[tuple(place)] = constrained_questions.contains(*pair)
+        return found
+
+    def intersects(self, other: AnyZonotope) -> Mask:
+        """False (...) where the two sets are certainly disjoint (the intersection has a Farkas certificate); True
+        otherwise, exact up to a margin of 1e-9."""
+        return ~self.intersection(self._other(other)).is_empty()
+
+    def sample(self, rng: np.random.Generator, count: int, how: SampleMethod = "inside") -> Array:
+        """Members (..., count, n), exact up to 1e-9 of the set's size; NaN where the set is certainly empty.
+
+        ``inside`` and ``boundary``: in the plane uniform by area and by length; else from an inner point towards the
+        boundary in random directions, part of the way and all of it. ``factors``: mixtures of random vertices of the
+        factors' polytope, every third one such a vertex.
+        """
+        if how not in ("inside", "boundary", "factors"):
+            raise SetError(f"how is {how!r}, expected one of inside, boundary, factors")
+        number = checked_count(count, "count")
+        parts = constraint_reduction.common_batch(self._parts)
+        batch = self.batch
+        size = math.prod(batch)
+        center, generators, matrix, offset = (a.reshape(size, *a.shape[len(batch) :]) for a in parts)
+        if how != "factors" and self.dimension == 2:
+            vertices = self._outline().inner
+            vertices = vertices.reshape(size, *vertices.shape[-2:])
+            return members.from_outline(vertices, rng, number, boundary=how == "boundary").reshape(*batch, number, 2)
+        if how == "factors":
+            factors = members.mixtures(matrix, offset, rng, number)
+        else:
+            middle, factors = members.shots((center, generators, matrix, offset), rng, number)
+            if how == "inside":
+                part = rng.random((size, number, 1)) ** (1 / self.dimension)
+                factors = middle + part * (factors - middle)
+        points = center[:, None] + factors @ np.swapaxes(generators, -1, -2)
+        points = np.where(self.is_empty().reshape(size, 1, 1), np.nan, points)
+        return np.asarray(points.reshape(*batch, number, self.dimension))
+
+    @property
+    def _parts(self) -> Parts:
+        return self.center, self.generators, self.constraint_matrix, self.constraint_offset
+
+    def _own_axes(self) -> tuple[tuple[Array, int], ...]:
+        return (self.center, 1), (self.generators, 2), (self.constraint_matrix, 2), (self.constraint_offset, 1)
+
+    def _argument(self, value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infinite: bool = False) -> Array:
+        """A checked argument whose batch axes go with those of the set."""
+        array = checked(value, name, tail, infinite=infinite)
+        return array if array.ndim == len(tail) else checked_batch(array, len(tail), name, self.batch)
+
+    def _other(self, other: object, *, same_space: bool = True) -> "ConstrainedZonotope":
+        if isinstance(other, Zonotope):
+            other = ConstrainedZonotope.from_zonotope(other)
+        if not isinstance(other, ConstrainedZonotope):
+            raise SetError(f"other is a {type(other).__name__}, expected a Zonotope or a ConstrainedZonotope")
+        if same_space and other.dimension != self.dimension:
+            raise SetError(f"other has dimension {other.dimension}, expected {self.dimension}")
+        for array, own in other._own_axes():
+            checked_batch(array, own, "other", self.batch)
+        return other
+
+    def _joined_constraints(self, other: "ConstrainedZonotope") -> tuple[Array, Array]:
+        matrix = block_diagonal(self.constraint_matrix, other.constraint_matrix)
+        offsets = (self.constraint_offset, other.constraint_offset)
+        batch = np.broadcast_shapes(matrix.shape[:-2], *(o.shape[:-1] for o in offsets))
+        return matrix, np.concatenate([np.broadcast_to(o, (*batch, o.shape[-1])) for o in offsets], axis=-1)
+
+    def _with(self, center: Array, generators: Array) -> Self:
+        return self._made(center, generators, self.constraint_matrix, self.constraint_offset)
+
+    def _made(self, center: Array, generators: Array, matrix: Array, offset: Array, *steps: Direction) -> Self:
+        """A set made from this one by operations, and with operands, of these directions."""
+        return type(self)(center, generators, matrix, offset, compose(self.direction, *steps))
+
+    def _planar(self, verb: str) -> None:
+        if self.dimension != 2:
+            raise SetError(f"{verb} needs a planar set, this one has dimension {self.dimension}: project it first")
+
+
+def stack_rows(*blocks: Array) -> Array:
+    """Matrices (..., n_i, g) one below the other, batch axes broadcast."""
+    batch = np.broadcast_shapes(*(block.shape[:-2] for block in blocks))
+    return np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], axis=-2)

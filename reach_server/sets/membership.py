@@ -1,10 +1,9 @@
 """Is a point in the set? Cheap answers for a whole batch first, linear programs for what is left."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from reach_server.sets.arrays import Array
+from reach_server.sets.arrays import Array, Mask
 
 #: Relative accuracy of the cheap answers (the linear programs have 1e-7).
 SLACK = 1e-9
@@ -12,10 +11,16 @@ SLACK = 1e-9
 ULPS = 8 * np.finfo(np.float64).eps
 
 
-def contains(center: Array, generators: Array, matrix: Array, offset: Array, point: Array) -> NDArray[np.bool_]:
-    """True (...) where ``point`` (..., n) is ``c + Gβ`` with ``Aβ = b`` and ``|β| <= 1``, up to 1e-7.
+def contains(center: Array, generators: Array, matrix: Array, offset: Array, point: Array) -> Mask:
+    """True (...) where ``point`` (..., n) is ``c + Gβ`` with ``Aβ = b`` and ``|β| <= 1``, up to 1e-7."""
+    return reach(center, generators, matrix, offset, point)[0]
 
-    A least-norm β settles most inner points, the interval hull most outer ones; the rest are linear programs.
+
+def reach(center: Array, generators: Array, matrix: Array, offset: Array, point: Array) -> tuple[Mask, Array]:
+    """Where (...) ``point`` (..., n) is ``c + Gβ`` with ``Aβ = b`` and ``|β| <= 1``, up to 1e-7, and β (..., g).
+
+    A least-norm β settles most inner points, the interval hull most outer ones; the rest are linear programs. Factors
+    are clipped to the box; where the point is not reached they are NaN.
     """
     batch = np.broadcast_shapes(
         center.shape[:-1], generators.shape[:-2], matrix.shape[:-2], offset.shape[:-1], point.shape[:-1]
@@ -31,6 +36,7 @@ def contains(center: Array, generators: Array, matrix: Array, offset: Array, poi
     ).reshape(count, n + rows)
     size = np.abs(stacked).sum(axis=-1)
     inside = np.zeros(count, dtype=bool)
+    reaching = np.full((count, g), np.nan)
     # A coordinate in which the set is a point is met up to the rounding of the subtraction above.
     rounding = np.concatenate(
         [
@@ -42,22 +48,23 @@ def contains(center: Array, generators: Array, matrix: Array, offset: Array, poi
     possible = (np.abs(target) <= size * (1 + SLACK) + rounding + np.finfo(float).tiny).all(axis=-1)
     todo = np.flatnonzero(possible)
     if len(todo) and g:
-        # Rows are scaled to size 1 so that the accuracy of the pseudoinverse is that of the set.
-        scale = np.where(size[todo] > 0, size[todo], 1.0)
-        scaled = stacked[todo] / scale[..., None]
-        wanted = np.where(size[todo] > 0, target[todo] / scale, 0.0)
+        # Rows are scaled to size 1 so that the accuracy of the pseudoinverse is that of the set, or of the rounding.
+        scale = np.maximum(size[todo], rounding[todo] / SLACK)
+        scale = np.where(scale > 0, scale, 1.0)
+        scaled, wanted = stacked[todo] / scale[..., None], target[todo] / scale
         factors = (np.linalg.pinv(scaled) @ wanted[..., None])[..., 0]
         reached = np.abs((scaled @ factors[..., None])[..., 0] - wanted).max(axis=-1) <= SLACK
         inside[todo] = reached & (np.abs(factors).max(axis=-1) <= 1 + SLACK)
+        reaching[todo] = np.where(inside[todo, None], factors, np.nan)
         for index, equations, right in zip(todo, scaled, wanted, strict=True):
             if not inside[index]:
-                inside[index] = _solvable(equations, right)
+                inside[index], reaching[index] = _solve(equations, right)
     elif len(todo):
         inside[todo] = True
-    return inside.reshape(batch)
+    return inside.reshape(batch), np.clip(reaching, -1.0, 1.0).reshape(*batch, g)
 
 
-def _solvable(equations: Array, right: Array) -> bool:
+def _solve(equations: Array, right: Array) -> tuple[bool, Array]:
     g = equations.shape[1]
     # The least bound t with |β| <= t is asked for: always feasible where the equations are, no tolerance games.
     costs = np.append(np.zeros(g), 1.0)
@@ -71,4 +78,6 @@ def _solvable(equations: Array, right: Array) -> bool:
         bounds=[(None, None)] * g + [(0, None)],
         method="highs",
     )
-    return bool(result.status == 0 and result.fun is not None and result.fun <= 1 + 1e-7)
+    if result.status != 0 or result.x is None or result.x[-1] > 1 + 1e-7:
+        return False, np.full(g, np.nan)
+    return True, np.asarray(result.x[:g])

@@ -1,10 +1,14 @@
 """Areas and outlines in the plane."""
 
-from itertools import combinations
+from collections.abc import Iterable, Iterator
+from itertools import combinations, islice
 
 import numpy as np
 
 from reach_server.sets.arrays import Array
+
+#: Determinants that are computed at once.
+CHUNK = 50_000
 
 
 def zonotope_area(generators: Array) -> Array:
@@ -109,8 +113,17 @@ def polygon_area(vertices: Array) -> Array:
 
 
 def zonotope_volume(generators: Array) -> Array:
-    """Exact volume (...) in any dimension, ``2ⁿ Σ |det|`` over all choices of n generators (..., n, g)."""
+    """Exact volume (...) in any dimension, ``2ⁿ Σ |det|`` over all choices of n generators (..., n, g) [GK10]."""
     n, g = generators.shape[-2:]
-    choices = np.array(list(combinations(range(g), n)), dtype=np.intp).reshape(-1, n)
-    chosen = np.moveaxis(generators[..., choices], -3, -2)
-    return np.asarray(2.0**n * np.abs(np.linalg.det(chosen)).sum(axis=-1))
+    total = np.zeros(generators.shape[:-2])
+    at_once = max(1, CHUNK // max(1, total.size))
+    for some in _groups(combinations(range(g), n), at_once):
+        chosen = np.moveaxis(generators[..., np.array(some, dtype=np.intp)], -3, -2)
+        total = total + np.abs(np.linalg.det(chosen)).sum(axis=-1)
+    return np.asarray(2.0**n * total)
+
+
+def _groups(items: Iterable[tuple[int, ...]], size: int) -> Iterator[list[tuple[int, ...]]]:
+    items = iter(items)
+    while group := list(islice(items, size)):
+        yield group

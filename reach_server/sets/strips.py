@@ -1,16 +1,71 @@
 """Zonotope and strip: enclosures of ``{x in Z : lower <= H x <= upper}``."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.arrays import Array, Mask, SetError, checked, checked_batch, checked_bounds
+from reach_server.sets.intervals import EPS, Interval, add_down, add_up
 from reach_server.sets.planar import zonotope_area
 
 StripMethod = Literal["tight", "frobenius"]
 
 #: A strip is taken to miss the set only if it does so by more than this, relative to the numbers compared.
 EMPTY_MARGIN = 1e-9
+
+
+def known(method: StripMethod) -> StripMethod:
+    """The method, if there is one of that name; ``SetError`` otherwise."""
+    if method not in get_args(StripMethod):
+        raise SetError(f"method is {method!r}, expected one of {', '.join(get_args(StripMethod))}")
+    return method
+
+
+def bounds(q: ArrayLike, r: ArrayLike, batch: tuple[int, ...]) -> tuple[Array, Array]:
+    """``q - r`` and ``q + r`` (...) of the strip ``|Hx - q| <= r``, rounded outwards; r = inf: no bounds."""
+    middle, radius = _number(q, "q", batch), _radius(r, batch)
+    checked_batch(radius, 0, "r", middle.shape)
+    finite = np.where(np.isinf(radius), 0.0, radius)
+    lower, upper = add_down(middle, -finite), add_up(middle, finite)
+    return np.where(np.isinf(radius), -np.inf, lower), np.where(np.isinf(radius), np.inf, upper)
+
+
+def linearised(
+    normal: Array,
+    center: Array,
+    h0: ArrayLike,
+    remainder: tuple[ArrayLike, ArrayLike],
+    r: ArrayLike,
+    batch: tuple[int, ...],
+) -> tuple[Array, Array]:
+    """Lower and upper bound (...) of ``J x`` for J (..., n) that ``|h(x)| <= r`` implies: outer.
+
+    ``h(x)`` is in ``h0 + J(x - center) + [lower, upper]``, so ``-r - upper <= h0 + J(x - center) <= r - lower``. Where
+    the remainder, or r, is infinite on a side, that side does not bind. Sums are rounded outwards, that of ``J center``
+    by its terms.
+    """
+    value, radius = _number(h0, "h0", batch), _radius(r, batch)
+    low, high = (checked_batch(b, 0, "remainder", batch) for b in checked_bounds(remainder, "remainder", ()))
+    middle = Interval.of(center).linear_map(normal[..., None, :])[..., 0] - value
+    return add_down(middle.lower, -_sum(radius, high)), add_up(middle.upper, _sum(radius, -low))
+
+
+def _number(value: ArrayLike, name: str, batch: tuple[int, ...]) -> Array:
+    return checked_batch(checked(value, name, ()), 0, name, batch)
+
+
+def _radius(r: ArrayLike, batch: tuple[int, ...]) -> Array:
+    radius = checked_batch(checked(r, "r", (), infinite=True), 0, "r", batch)
+    if (radius < 0).any():
+        raise SetError(f"r must not be negative, its least value is {radius.min()}")
+    return radius
+
+
+def _sum(radius: Array, excess: Array) -> Array:
+    """``radius + excess`` rounded up; infinite where one of them is infinite."""
+    infinite = np.isinf(radius) | np.isinf(excess)
+    return np.where(infinite, np.inf, add_up(np.where(infinite, 0.0, radius), np.where(infinite, 0.0, excess)))
 
 
 def strip_bounds(
@@ -24,7 +79,10 @@ def strip_bounds(
     middle = (normal * center).sum(axis=-1)
     reach = np.abs((normal[..., None, :] @ generators)[..., 0, :]).sum(axis=-1)
     low, high = np.maximum(lower, middle - reach), np.minimum(upper, middle + reach)
-    margin = EMPTY_MARGIN * (np.abs(middle) + reach + np.abs(np.where(np.isfinite(low), low, 0.0)))
+    # What the sums may have lost does not shrink with them: of 1e12 - 1e12 nothing is left but the rounding.
+    size = (np.abs(normal) * (np.abs(center) + np.abs(generators).sum(axis=-1))).sum(axis=-1)
+    lost = sum(generators.shape[-2:]) * EPS * size
+    margin = EMPTY_MARGIN * (np.abs(middle) + reach + np.abs(np.where(np.isfinite(low), low, 0.0))) + lost
     empty = low > high + margin
     cuts = ((lower > middle - reach) | (upper < middle + reach)) & ~empty
     # Within the margin the two may cross by rounding: keep the hull of both, which only enlarges.
@@ -69,7 +127,7 @@ def intersect_strip(
     heights = (normal[..., None, :] @ generators)[..., 0, :]
     spread = generators @ heights[..., None]
     denominator = (heights**2).sum(axis=-1) + r**2
-    frobenius = spread[..., 0] / np.where(denominator > 0, denominator, 1.0)[..., None]
+    frobenius = _divided(spread[..., 0], denominator[..., None])
     if method == "frobenius":
         chosen = frobenius
     else:
@@ -109,7 +167,7 @@ def _best_lambda(
         np.broadcast_to(heights, (*batch, g)), np.broadcast_to(strongest, (*batch, count)), axis=-1
     )
     usable = np.abs(slopes) > 1e-12 * np.abs(heights).sum(axis=-1, keepdims=True)
-    bravo = np.where(usable[..., None, :], columns / np.where(usable, slopes, 1.0)[..., None, :], 0.0)
+    bravo = _divided(columns, np.where(usable, slopes, 0.0)[..., None, :])
     options = np.concatenate(
         [
             np.zeros((*batch, 1, n)),
@@ -121,6 +179,13 @@ def _best_lambda(
     cut = _cut_generators(generators[..., None, :, :], heights[..., None, :], options, radius[..., None])
     best = np.argmin(log_size(cut, plane), axis=-1)
     return np.take_along_axis(options, best[..., None, None], axis=-2)[..., 0, :]
+
+
+def _divided(numerator: Array, denominator: Array) -> Array:
+    """The quotient; 0, which is as good a λ as any, where dividing by 0 or by hardly more gives no number."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        quotient = numerator / denominator
+    return np.where(np.isfinite(quotient), quotient, 0.0)
 
 
 def log_size(generators: Array, plane: tuple[int, int] | None) -> Array:

@@ -1,42 +1,118 @@
 """``Zonotope``: ``{c + Gβ : |β| <= 1}``, any number of leading batch axes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from reach_server.sets import membership, planar, reduction, strips, support
-from reach_server.sets.arrays import Array, SetError, batch_shape, block_diagonal, checked, stack_columns
+from reach_server.sets import (
+    containment,
+    hulls,
+    intersections,
+    membership,
+    parallel,
+    planar,
+    reduction,
+    strips,
+    support,
+    tiling,
+    volume,
+)
+from reach_server.sets.arrays import (
+    Array,
+    Mask,
+    SetError,
+    batch_shape,
+    block_diagonal,
+    checked,
+    checked_axes,
+    checked_batch,
+    checked_bounds,
+    checked_count,
+    checked_dimension,
+    stack_columns,
+)
+from reach_server.sets.direction import Direction, compose
+from reach_server.sets.intervals import EPS, Interval, add_down, add_up, sum_up
+
+SampleMethod = Literal["inside", "boundary", "factors"]
+
+
+@runtime_checkable
+class ConvexSet(Protocol):
+    """What a question about two sets asks of the other one."""
+
+    @property
+    def dimension(self) -> int:
+        """The dimension n of the space."""
+
+    def support(self, d: ArrayLike) -> Array:
+        """An upper bound of ``d·x``."""
+
+    def enclosing_zonotope(self) -> "Zonotope":
+        """A zonotope around the set."""
 
 
 @dataclass(frozen=True, eq=False)
 class Zonotope:
     """Zonotopes with ``center`` (..., n) and ``generators`` (..., n, g); never empty.
 
-    Raises ``SetError`` for wrong shapes, NaN or infinities, and for dimension 0.
+    ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
+    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: center and generators carry the rounding of
+    their own sums and products, at most ``n + 2`` ulps of the sum of the absolute terms for each operation. Bounds that
+    come back as numbers (``support``, ``interval_hull``, ``volume_bracket``) and the lengths that a reduction adds up
+    are rounded outwards.
+
+    The arrays are not copied, only the set's view of them is read-only. Raises ``SetError`` for wrong shapes, NaN or
+    infinities, and for dimension 0.
     """
 
     center: Array
     generators: Array
+    direction: Direction = Direction.EXACT
 
     def __post_init__(self) -> None:
         center = checked(self.center, "center", (None,))
+        checked_dimension(center, -1, "center")
         generators = checked(self.generators, "generators", (center.shape[-1], None))
-        if center.shape[-1] == 0:
-            raise SetError(f"center has shape {center.shape}: a set needs at least one dimension")
         batch_shape((center, 1), (generators, 2))
+        if not isinstance(self.direction, Direction):
+            raise SetError(f"direction is {self.direction!r}, expected a Direction")
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "generators", generators)
 
     @classmethod
     def box(cls, lower: ArrayLike, upper: ArrayLike) -> Self:
-        """The box from ``lower`` to ``upper`` (..., n), exact up to rounding."""
-        low, high = checked(lower, "lower", (None,)), checked(upper, "upper", (None,))
+        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards."""
+        high = checked_dimension(checked(upper, "upper", (None,)), -1, "upper")
+        low = checked(lower, "lower", (high.shape[-1],))
+        checked_batch(low, 1, "lower", high.shape[:-1])
         if (low > high).any():
             raise SetError("lower is greater than upper somewhere")
-        half = (high - low) / 2
-        return cls((low + high) / 2, half[..., None] * np.eye(half.shape[-1]))
+        return cls.from_interval(Interval(low, high))
+
+    @classmethod
+    def from_interval(cls, interval: Interval | tuple[ArrayLike, ArrayLike]) -> Self:
+        """The box of an ``Interval`` of shape (..., n), or of a pair (lower, upper): exact, as ``box``.
+
+        Raises ``SetError`` for empty and for unbounded intervals.
+        """
+        if not isinstance(interval, Interval):
+            interval = Interval(*checked_bounds(interval, "interval", (None,)))
+        checked_dimension(checked(interval.lower, "interval", (None,), infinite=True), -1, "interval")
+        if interval.is_empty().any():
+            raise SetError("interval is empty somewhere: a zonotope is not")
+        if not (np.isfinite(interval.lower) & np.isfinite(interval.upper)).all():
+            raise SetError("interval is unbounded somewhere: a zonotope is not")
+        return cls(interval.midpoint, interval.radius[..., None] * np.eye(interval.shape[-1]))
+
+    @classmethod
+    def point(cls, x: ArrayLike) -> Self:
+        """The set of the point ``x`` (..., n) alone: exact."""
+        center = checked_dimension(checked(x, "x", (None,)), -1, "x")
+        return cls(center, np.zeros((center.shape[-1], 0)))
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -50,97 +126,273 @@ class Zonotope:
 
     def linear_map(self, matrix: ArrayLike) -> Self:
         """The image under ``matrix`` (..., k, n): exact."""
-        m = checked(matrix, "matrix", (None, self.dimension))
-        return type(self)((m @ self.center[..., None])[..., 0], m @ self.generators)
+        m = self._matrix(matrix)
+        return self._with((m @ self.center[..., None])[..., 0], m @ self.generators)
+
+    def affine_map(self, matrix: ArrayLike, offset: ArrayLike) -> Self:
+        """The image ``{Mx + t}`` for ``matrix`` (..., k, n) and ``offset`` (..., k): exact."""
+        return self.linear_map(matrix).translate(offset)
+
+    def scale(self, factor: ArrayLike) -> Self:
+        """The set of ``factor * x`` for ``factor`` (...), of either sign: exact."""
+        f = self._checked(factor, "factor", ())
+        return self._with(f[..., None] * self.center, f[..., None, None] * self.generators)
 
     def translate(self, offset: ArrayLike) -> Self:
         """The set moved by ``offset`` (..., n): exact."""
-        return type(self)(self.center + checked(offset, "offset", (self.dimension,)), self.generators)
+        return self._with(self.center + self._checked(offset, "offset", (self.dimension,)), self.generators)
 
-    def project(self, axes: tuple[int, ...]) -> Self:
-        """The projection on some coordinates: exact."""
-        return type(self)(self.center[..., axes], self.generators[..., axes, :])
+    def project(self, axes: Sequence[int]) -> Self:
+        """The projection on the coordinates ``axes``, in that order: exact."""
+        kept = checked_axes(axes, self.dimension)
+        return self._with(self.center[..., kept], self.generators[..., kept, :])
 
     def minkowski_sum(self, other: "Zonotope") -> Self:
         """``{a + b}``: exact [Gir05]."""
-        return type(self)(self.center + other.center, stack_columns(self.generators, other.generators))
+        self._same_space(other, "minkowski_sum")
+        return self._with(self.center + other.center, stack_columns(self.generators, other.generators), other.direction)
 
     def cartesian_product(self, other: "Zonotope") -> Self:
         """``{(a, b)}``: exact."""
+        _zonotope(other, "cartesian_product")
+        self._checked_batch_of(other)
         batch = np.broadcast_shapes(self.batch, other.batch)
         centers = [np.broadcast_to(z.center, (*batch, z.dimension)) for z in (self, other)]
-        return type(self)(np.concatenate(centers, axis=-1), block_diagonal(self.generators, other.generators))
+        generators = block_diagonal(self.generators, other.generators)
+        return self._with(np.concatenate(centers, axis=-1), generators, other.direction)
 
-    def reduce_order(self, order: float) -> Self:
-        """An enclosing zonotope with at most ``order * n`` generators (at least n): outer [Gir05]."""
-        return type(self)(self.center, reduction.girard(self.generators, int(order * self.dimension)))
+    def convex_hull(self, other: "Zonotope") -> Self:
+        """A zonotope around both sets, with at most ``g1 + g2 + 1`` generators: outer [Gir05]."""
+        self._same_space(other, "convex_hull")
+        center, generators = hulls.zonotope_hull(self.center, self.generators, other.center, other.generators)
+        return self._with(center, generators, Direction.OUTER, other.direction)
 
     def intersect_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike, method: strips.StripMethod = "tight") -> Self:
-        """An enclosure of the part with ``|Hx - q| <= r`` (H (..., n); r = inf: inactive): outer.
+        """An enclosure of the part with ``|Hx - q| <= r`` (H (..., n); r = inf: inactive): outer [ABC05, ABC06].
 
         Where the intersection is certainly empty the set comes back unchanged; ask ``misses_strip``.
         """
-        lower, upper = _strip(q, r)
-        return self._cut(H, lower, upper, method)
+        return self._cut(H, *strips.bounds(q, r, self.batch), method)
 
     def intersect_halfspace(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
         """An enclosure of the part with ``Hx <= q``: outer; unchanged where that part is certainly empty."""
-        return self._cut(H, np.asarray(-np.inf), checked(q, "q", (), infinite=True), method)
+        return self._cut(H, np.asarray(-np.inf), self._checked(q, "q", (), infinite=True), method)
 
-    def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> NDArray[np.bool_]:
-        """True where no point of the set has ``|Hx - q| <= r``; certain where True (exact up to rounding)."""
-        normal = checked(H, "H", (self.dimension,))
-        return np.asarray(strips.strip_bounds(self.center, self.generators, normal, *_strip(q, r))[3])
+    def intersect_tangents(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
+        """An enclosure of the part with ``Hx <= q`` for all rows of H (..., K, n), q (..., K); inf: inactive; outer.
+
+        The cuts follow in the order given; it matters. Where one is certainly missed it changes nothing.
+        """
+        normals = self._checked(H, "H", (None, self.dimension))
+        bounds = self._checked(q, "q", (normals.shape[-2],), infinite=True)
+        center, generators = intersections.intersect_halfspaces(
+            self.center, self.generators, normals, bounds, strips.known(method)
+        )
+        return self._with(center, generators, Direction.OUTER)
+
+    def intersect_linearised(
+        self,
+        J: ArrayLike,
+        h0: ArrayLike,
+        remainder: tuple[ArrayLike, ArrayLike],
+        r: ArrayLike,
+        method: strips.StripMethod = "tight",
+    ) -> Self:
+        """An enclosure of the part with ``|h(x)| <= r`` where ``h(x)`` is in ``h0 + J(x - center) + [lower, upper]``.
+
+        J (..., n); h0, lower, upper and r (...); an infinite remainder or r is inactive; outer. Algorithm 2 of
+        [AJS+22] with its parallel columns λr and λG_L added up: the strip ``|J(x - c) + h0 + mid| <= r + rad``,
+        rounded outwards.
+        """
+        normal = self._checked(J, "J", (self.dimension,))
+        return self._cut(normal, *strips.linearised(normal, self.center, h0, remainder, r, self.batch), method)
+
+    def intersection(self, other: "Zonotope", matrix: ArrayLike | None = None) -> Self:
+        """A zonotope around ``{x in self : Rx in other}`` (R = ``matrix`` (..., k, n), None: identity): outer.
+
+        Some zonotope comes back where that is empty, too; ask ``intersects``.
+        """
+        _zonotope(other, "intersection")
+        m = np.eye(self.dimension) if matrix is None else self._matrix(matrix)
+        if m.shape[-2] != other.dimension:
+            raise SetError(f"matrix has shape {m.shape}, expected (..., {other.dimension}, {self.dimension}) for other")
+        self._checked_batch_of(other)
+        center, generators = intersections.intersect_zonotope(
+            self.center, self.generators, m, other.center, other.generators
+        )
+        return self._with(center, generators, Direction.OUTER, other.direction)
+
+    def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> Mask:
+        """True where no point of the set has ``|Hx - q| <= r``: certain where True, by a relative margin of 1e-9."""
+        normal = self._checked(H, "H", (self.dimension,))
+        lower, upper = strips.bounds(q, r, self.batch)
+        return np.asarray(strips.strip_bounds(self.center, self.generators, normal, lower, upper)[3])
 
     def _cut(self, H: ArrayLike, lower: Array, upper: Array, method: strips.StripMethod) -> Self:
-        normal = checked(H, "H", (self.dimension,))
+        normal = self._checked(H, "H", (self.dimension,))
         center, generators, _ = strips.intersect_strip(
-            self.center, self.generators, normal, lower, upper, method=method
+            self.center, self.generators, normal, lower, upper, method=strips.known(method)
         )
-        return type(self)(center, generators)
+        return self._with(center, generators, Direction.OUTER)
+
+    def reduce_order(self, order: float, method: reduction.ReductionMethod = "girard") -> Self:
+        """An enclosing zonotope with at most ``order * n`` generators (at least n): outer; the same set if there are
+        no more. Methods: girard [Gir05], combastel [Com03], pca [KSA17], scott [SDB+16]."""
+        count = reduction.generator_count(order, self.dimension)
+        generators = reduction.reduce_generators(self.generators, count, method)
+        same = generators.shape[-1] == self.generators.shape[-1]
+        return self._with(self.center, generators, Direction.EXACT if same else Direction.OUTER)
+
+    def simplify(self) -> Self:
+        """The same set without zero generators and with parallel ones merged: exact (see ``parallel``). A batch keeps
+        as many generators as its largest set needs."""
+        return self._with(self.center, parallel.drop_zero(parallel.merge_parallel(self.generators)))
 
     def support(self, d: ArrayLike) -> Array:
-        """Greatest ``d·x`` for directions ``d`` (..., K, n), shape (..., K): exact."""
-        return support.zonotope_support(self.center, self.generators, checked(d, "d", (None, self.dimension)))
+        """Greatest ``d·x`` for directions ``d`` (..., K, n), shape (..., K): exact, rounded up by ``n + g + 2`` ulps
+        of ``|d|·(|c| + |G|1)``."""
+        directions = self._checked(d, "d", (None, self.dimension))
+        value = support.zonotope_support(self.center, self.generators, directions)
+        size = np.abs(self.center) + np.abs(self.generators).sum(axis=-1)
+        terms = sum(self.generators.shape[-2:]) + 2
+        return np.asarray(value + terms * EPS * (np.abs(directions) @ size[..., None])[..., 0])
 
     def interval_hull(self) -> tuple[Array, Array]:
-        """Least box around the set, (lower (..., n), upper (..., n)): exact."""
-        half = np.abs(self.generators).sum(axis=-1)
-        return self.center - half, self.center + half
+        """Least box around the set, (lower (..., n), upper (..., n)): exact, rounded outwards by g ulps of its size."""
+        half = sum_up(np.abs(self.generators))
+        return add_down(self.center, -half), add_up(self.center, half)
 
     def volume(self) -> Array:
-        """Volume (...): exact; every choice of n generators is looked at, so for small sets beyond the plane."""
+        """Volume (...): exact. Beyond the plane every choice of n generators is looked at: for many generators ask
+        ``volume_bracket``."""
         if self.dimension == 2:
             return np.broadcast_to(planar.zonotope_area(self.generators), self.batch)
         return np.broadcast_to(planar.zonotope_volume(self.generators), self.batch)
 
-    def polygon(self) -> Array:
-        """Vertices (..., V, 2) of planar sets, counter-clockwise: exact."""
-        if self.dimension != 2:
-            raise SetError(f"polygon needs a planar set, this one has dimension {self.dimension}: project it first")
-        return planar.zonotope_polygon(self.center, self.generators)
+    def volume_bracket(self) -> tuple[Array, Array]:
+        """(inner, outer) bounds (...) of the volume, equal up to rounding where it is cheap (see ``volume``)."""
+        inner, outer = volume.volume_bracket(self.generators)
+        return np.broadcast_to(inner, self.batch), np.broadcast_to(outer, self.batch)
 
-    def contains_point(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def area(self) -> Array:
+        """Area (...) of planar sets: exact."""
+        self._planar("area")
+        return self.volume()
+
+    def area_bracket(self) -> tuple[Array, Array]:
+        """(inner, outer) bounds (...) of the area of planar sets: the exact area, apart by rounding."""
+        self._planar("area_bracket")
+        return self.volume_bracket()
+
+    def polygon(self, count: int | None = None) -> Array:
+        """Vertices (..., V, 2) of planar sets, counter-clockwise: exact, V = 2 g (1 without generators). With ``count``
+        (at least 3): an outer polygon of that many vertices, tight in ``planar.directions(count)``."""
+        self._planar("polygon")
+        if count is None:
+            return planar.zonotope_polygon(self.center, self.generators)
+        if checked_count(count, "count") < 3:
+            raise SetError(f"count is {count}, expected no less than 3")
+        # About the center: far from the origin, products with the directions would round away the shape.
+        around = Zonotope(np.zeros(2), self.generators).support(planar.directions(count))
+        return self.center[..., None, :] + planar.outer_polygon(around)
+
+    def enclosing_zonotope(self) -> "Zonotope":
+        """The set itself: exact."""
+        return self
+
+    def contains_point(self, x: ArrayLike) -> Mask:
         """True (...) where the point (..., n) lies in the set, up to 1e-7 of its size: exact."""
-        point = checked(x, "x", (self.dimension,))
-        empty = np.zeros((0, self.generators.shape[-1]))
-        return membership.contains(self.center, self.generators, empty, np.zeros(0), point)
+        return self._reach(x)[0]
 
-    def is_empty(self) -> NDArray[np.bool_]:
+    def factors_of(self, x: ArrayLike) -> Array:
+        """Factors β (..., g) with ``c + Gβ = x`` and ``|β| <= 1``, up to 1e-7 of the set's size; rows of NaN where the
+        point (..., n) is not in the set."""
+        return self._reach(x)[1]
+
+    def _reach(self, x: ArrayLike) -> tuple[Mask, Array]:
+        point = self._checked(x, "x", (self.dimension,))
+        empty = np.zeros((0, self.generators.shape[-1]))
+        return membership.reach(self.center, self.generators, empty, np.zeros(0), point)
+
+    def contains_set(self, other: ConvexSet) -> Mask:
+        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
+
+        Up to the plane the support of ``other`` decides: where it is exact, False is certain, too. Beyond, a sufficient
+        condition does [ST19], for sets that are no zonotopes about the enclosing one.
+        """
+        if not isinstance(other, ConvexSet):
+            raise SetError(f"other is a {type(other).__name__}, expected a Zonotope or a ConstrainedZonotope")
+        if other.dimension != self.dimension:
+            raise SetError(f"other has dimension {other.dimension}, expected {self.dimension}")
+        zonotope = other.enclosing_zonotope()
+        self._checked_batch_of(zonotope)
+        if self.dimension <= 2 and not isinstance(other, Zonotope):
+            normals = containment.face_normals(self.generators)
+            normals = np.concatenate([normals, -normals], axis=-2)
+            slack = containment.SLACK * np.abs(normals @ self.generators).sum(axis=-1)
+            return np.asarray((other.support(normals) <= self.support(normals) + slack).all(axis=-1))
+        return containment.zonotope_contains(self.center, self.generators, zonotope.center, zonotope.generators)
+
+    def intersects(self, other: "Zonotope") -> Mask:
+        """False (...) where the two sets are certainly disjoint (a separating direction was found); True otherwise.
+
+        Exact up to rounding: in the plane by all directions that matter, beyond by a linear program.
+        """
+        self._same_space(other, "intersects")
+        return ~containment.certainly_disjoint(self.center, self.generators, other.center, other.generators)
+
+    def is_empty(self) -> Mask:
         """False (...): a zonotope always holds its center."""
         return np.zeros(self.batch, dtype=bool)
 
-    def sample(self, rng: np.random.Generator, count: int) -> Array:
-        """Members (..., count, n) drawn by independent factors, some of them at the factors' bounds."""
-        g = self.generators.shape[-1]
-        factors = rng.uniform(-1, 1, (*self.batch, count, g))
-        extreme = rng.random((*self.batch, count, 1)) < 0.3
-        factors = np.where(extreme, np.where(factors < 0, -1.0, 1.0), factors)
+    def sample(self, rng: np.random.Generator, count: int, how: SampleMethod = "inside") -> Array:
+        """Members (..., count, n), exact up to rounding.
+
+        ``inside``: uniform by volume; ``boundary``: on the boundary, uniform by area in general position (both: see
+        ``tiling``); ``factors``: independent factors, some points with all of them at their bounds.
+        """
+        g, batch = self.generators.shape[-1], self.batch
+        draws = {"inside": tiling.inner_factors, "boundary": tiling.boundary_factors, "factors": tiling.any_factors}
+        if how not in draws:
+            raise SetError(f"how is {how!r}, expected one of {', '.join(draws)}")
+        number = checked_count(count, "count")
+        sets = int(np.prod(batch))
+        flat = np.broadcast_to(self.generators, (*batch, self.dimension, g)).reshape(sets, self.dimension, g)
+        factors = draws[how](flat, rng, number).reshape(*batch, number, g)
         return np.asarray(self.center[..., None, :] + factors @ np.swapaxes(self.generators, -1, -2))
+
+    def _with(self, center: Array, generators: Array, *steps: Direction) -> Self:
+        """A set made from this one by operations, and with operands, of these directions."""
+        return type(self)(center, generators, compose(self.direction, *steps))
+
+    def _checked(self, value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infinite: bool = False) -> Array:
+        return checked_batch(checked(value, name, tail, infinite=infinite), len(tail), name, self.batch)
+
+    def _matrix(self, matrix: ArrayLike) -> Array:
+        return checked_dimension(self._checked(matrix, "matrix", (None, self.dimension)), -2, "matrix")
+
+    def _checked_batch_of(self, other: "Zonotope") -> None:
+        checked_batch(other.center, 1, "other", self.batch)
+        checked_batch(other.generators, 2, "other", self.batch)
+
+    def _same_space(self, other: "Zonotope", verb: str) -> None:
+        _zonotope(other, verb)
+        if other.dimension != self.dimension:
+            raise SetError(f"other has dimension {other.dimension}, expected {self.dimension}")
+        self._checked_batch_of(other)
+
+    def _planar(self, verb: str) -> None:
+        if self.dimension != 2:
+            raise SetError(f"{verb} needs a planar set, this one has dimension {self.dimension}: project it first")
+
+
+def _zonotope(other: object, verb: str) -> None:
+    if not isinstance(other, Zonotope):
+        raise SetError(
+            f"other is a {type(other).__name__}, {verb} of a Zonotope expects a Zonotope: "
+            "convert one of the two (enclosing_zonotope, ConstrainedZonotope.from_zonotope)"
+        )
 
 
 def _strip(q: ArrayLike, r: ArrayLike) -> tuple[Array, Array]:
-    middle, radius = checked(q, "q", ()), checked(r, "r", (), infinite=True)
-    if (radius < 0).any():
-        raise SetError(f"r must not be negative, its least value is {radius.min()}")
-    return middle - radius, middle + radius
+    return strips.bounds(q, r, ())

@@ -1,0 +1,85 @@
+"""One tube for each of 1000 vehicles: all in one batch, and one call per vehicle."""
+
+import numpy as np
+
+from benchmarks.report import Cell, Claim, Table
+from benchmarks.timing import median_seconds, seconds
+from reach_server.model import NoiseBounds, fit
+from reach_server.predicates import CutTable
+from reach_server.regression import Layout, transitions
+from reach_server.rows import take
+from reach_server.tube import CutMethod, FactorSet, InputSets, Tube, propagate
+from reach_server.windows import Block
+from vehicle_agent.simulate import simulate_history
+from vehicle_agent.svea import SveaParameters, profile
+
+HORIZON, SAMPLES = 10, 200
+
+
+def run(quick: bool) -> Table:
+    """Milliseconds a vehicle for ten steps with two strips each."""
+    vehicles = 50 if quick else 1000
+    parameters = SveaParameters()
+    svea = profile(parameters)
+    layout = Layout.of(svea)
+    bounds = NoiseBounds.of(svea, layout)
+    drive = simulate_history(1, SAMPLES, parameters)
+    yes = np.ones((1, SAMPLES), dtype=bool)
+    linked = yes.copy()
+    linked[:, 0] = False
+    times = np.arange(SAMPLES, dtype=np.int64)[None] * parameters.dt_ns
+    block = Block(times, drive.measured[None], drive.inputs[None], yes, yes, linked)
+    model = take(fit(transitions(block, layout), layout, bounds, svea.lipschitz), np.zeros(vehicles, dtype=np.intp))
+
+    rng = np.random.default_rng(0)
+    states = np.column_stack([
+        rng.uniform(-5, 5, (vehicles, 2)), rng.uniform(-3, 3, vehicles), rng.uniform(0.2, 1.5, vehicles),
+    ])  # fmt: skip
+    limit = np.array([parameters.steering_limit, parameters.velocity_limit])
+    known = rng.uniform(-0.5, 0.5, (vehicles, layout.lags + HORIZON, 2)) * limit
+    inputs = InputSets(
+        known[:, : layout.lags], known[:, layout.lags :], np.broadcast_to(0.1 * limit, (vehicles, HORIZON, 2))
+    )
+    start = FactorSet.zonotope(states, np.broadcast_to(bounds.measurement, (vehicles, *bounds.measurement.shape)))
+    # A corridor along each axis that cuts some vehicles and not others.
+    table = CutTable(
+        np.eye(2, layout.n), np.array([-4.0, -4.0]), np.array([4.0, 4.0]), (0, 1), ("lot", "lot"), (0, 1), ("x", "y")
+    )
+    active = np.ones((vehicles, HORIZON + 1, 2), dtype=bool)
+
+    rows: list[tuple[Cell, ...]] = []
+    claims: list[Claim] = []
+    methods: tuple[CutMethod, ...] = ("zonotope", "constrained")
+    for cuts in methods:
+
+        def tube(which: slice, cuts: CutMethod = cuts) -> Tube:
+            return propagate(
+                take(start, which), take(inputs, which), take(model, which), bounds.process, layout, table,
+                active[which], cuts=cuts,
+            )  # fmt: skip
+
+        batch = median_seconds(lambda: tube(slice(None)), 3) / vehicles
+        tube(slice(0, 1))
+        single, alone = seconds(lambda: [tube(slice(i, i + 1)) for i in range(vehicles)])
+        single /= vehicles
+        rows.append((cuts, vehicles, batch * 1e3, single * 1e3, single / batch, _difference(tube(slice(None)), alone)))
+        text = f"tubes of {vehicles} vehicles, cuts {cuts}: single calls over one batch"
+        claims.append(Claim(text, single / batch, "≥", 1.0))
+    return Table(
+        "Tubes of many vehicles",
+        f"`reach_server.tube.propagate`, {HORIZON} steps, {SAMPLES} samples in the window, two strips a step, the same "
+        "vehicles both ways. 'Difference' is the greatest one in any half-width of an interval hull, relative to it; "
+        "constrained sets of a batch share their rows, and so drop the oldest at other moments than a set alone.",
+        ("cuts", "vehicles", "ms a vehicle, one batch", "ms a vehicle, single calls", "ratio", "difference"),
+        rows,
+        claims,
+    )
+
+
+def _difference(batch: Tube, alone: list[Tube]) -> float:
+    worst = 0.0
+    for k, sets in enumerate(batch.steps):
+        half = np.abs(sets.generators).sum(axis=-1)
+        single = np.stack([np.abs(tube.steps[k].generators).sum(axis=-1)[0] for tube in alone])
+        worst = max(worst, float((np.abs(half - single) / half).max()))
+    return worst

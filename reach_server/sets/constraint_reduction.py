@@ -1,0 +1,268 @@
+"""Constrained zonotopes with fewer constraints or tighter factors, and without what is exactly redundant.
+
+The parts of a set are ``(center, generators, constraint_matrix, constraint_offset)`` with batch axes as in the class.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.sets import parallel, planar, support
+from reach_server.sets.arrays import Array, Mask
+
+Parts = tuple[Array, Array, Array, Array]
+Indices = NDArray[np.intp]
+
+#: Factors are never rescaled to less than this: rounding of the offsets would grow into contradictions.
+NARROWEST = 1e-5
+#: How many times over a factor may leave its bounds when they are given up.
+FAR = 1e3
+#: Columns whose greatest entry is below this, of rows of size 1, are not eliminated by.
+PIVOT = 1e-6
+#: Rows of which elimination leaves no more than this are given up.
+SPENT = 1e-8
+#: Directions in which the areas of candidates are compared.
+COMPARED = 16
+
+
+def common_batch(parts: Parts, batch: tuple[int, ...] = ()) -> Parts:
+    """The parts with all batch axes, and at least ``batch``, written out."""
+    center, generators, matrix, offset = parts
+    common = np.broadcast_shapes(batch, center.shape[:-1], generators.shape[:-2], matrix.shape[:-2], offset.shape[:-1])
+    return (
+        np.broadcast_to(center, common + center.shape[-1:]),
+        np.broadcast_to(generators, common + generators.shape[-2:]),
+        np.broadcast_to(matrix, common + matrix.shape[-2:]),
+        np.broadcast_to(offset, common + offset.shape[-1:]),
+    )
+
+
+def at(parts: Parts, place: tuple[int, ...]) -> Parts:
+    """The parts of one set of a batch with all axes written out."""
+    center, generators, matrix, offset = parts
+    return center[place], generators[place], matrix[place], offset[place]
+
+
+def factor_bounds(matrix: Array, offset: Array) -> tuple[Array, Array]:
+    """Bounds (lower, upper) (..., g) of the factors with ``Aβ = b``, ``|β| <= 1``: outer, certified by duality.
+
+    [-1, 1] where there are no such factors.
+    """
+    g = matrix.shape[-1]
+    unit = np.eye(g)
+    found = support.solve(np.zeros(g), unit, matrix, offset, np.concatenate([unit, -unit]))
+    bound = np.where(found.empty, 1.0, np.minimum(found.bound, 1.0))
+    lower, upper = -bound[..., g:], bound[..., :g]
+    return np.minimum(lower, upper), np.maximum(lower, upper)
+
+
+def rescale(parts: Parts) -> Parts:
+    """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], section 4.2).
+
+    With ``β = m + Rβ'`` for the certified bounds ``m ± R``: ``c + Gm``, ``GR``, ``AR``, ``b - Am``. The paper bounds
+    the factors by interval propagation; linear programs give the least bounds.
+    """
+    center, generators, matrix, offset = parts
+    lower, upper = factor_bounds(matrix, offset)
+    wider = np.where(upper - lower < 2 * NARROWEST, NARROWEST, 0.0)
+    lower, upper = np.maximum(lower - wider, -1.0), np.minimum(upper + wider, 1.0)
+    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    return (
+        center + (generators @ middle[..., None])[..., 0],
+        generators * half[..., None, :],
+        matrix * half[..., None, :],
+        offset - (matrix @ middle[..., None])[..., 0],
+    )
+
+
+def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
+    """Parts of an enclosing set with at most ``count`` rows: outer ([SDB+16], section 4.2, after rescaling).
+
+    One row goes at a time, together with one factor j: the row is solved for it, and its bounds are given up. How far
+    it then leaves them, and the Hausdorff distance that the paper estimates from that, rank the factors; the ranking by
+    the least bounds (linear programs) and that by interval propagation each propose their first ``candidates``, and the
+    smallest result is taken: by its area, bounded in 16 directions, in the plane, else by the widths of its hull.
+    """
+    parts = common_batch(parts)
+    rows = parts[2].shape[-2]
+    if count >= rows:
+        return parts
+    parts = rescale(parts)
+    for _ in range(rows - count if parts[2].shape[-1] else 0):
+        parts = _without_one(parts, count, candidates)
+    return _compact(parts, count)
+
+
+def _without_one(parts: Parts, count: int, candidates: int) -> Parts:
+    _, generators, matrix, offset = parts
+    matrix, offset = support.unit_rows(matrix, offset)
+    filled = matrix.any(axis=-1) | (offset != 0)
+    usable = (np.abs(matrix).max(axis=-2) > PIVOT) & (filled.sum(axis=-1) > count)[..., None]
+    stiffness = _stiffness(generators, matrix)
+    proposed = []
+    for reach in (_least_excess(matrix, offset), _propagated_excess(matrix, offset)):
+        distance = np.where(usable, np.minimum(reach, FAR) ** 2 / stiffness, np.inf)
+        proposed.append(np.argsort(distance, axis=-1, kind="stable")[..., :candidates])
+    j = np.concatenate(proposed, axis=-1)
+    allowed = np.take_along_axis(usable, j, axis=-1)
+    center, generators, matrix, offset = parts
+    choices = _eliminate(
+        (center[..., None, :], generators[..., None, :, :], matrix[..., None, :, :], offset[..., None, :]), j
+    )
+    size = np.where(allowed, _size(choices), np.inf)
+    best = size.argmin(axis=-1)
+    acts = np.take_along_axis(allowed, best[..., None], axis=-1)[..., 0]
+    chosen = []
+    for old, new in zip(parts, choices, strict=True):
+        own = old.ndim - acts.ndim
+        index = best.reshape(*best.shape, *(1,) * (own + 1))
+        picked = np.take_along_axis(new, index, axis=acts.ndim)
+        picked = picked.reshape(old.shape)
+        chosen.append(np.where(acts.reshape(*acts.shape, *(1,) * own), picked, old))
+    return chosen[0], chosen[1], chosen[2], chosen[3]
+
+
+def _eliminate(parts: Parts, j: Indices) -> Parts:
+    """Row i, where column j (..., K) is largest, solved for factor j and put into the rest; row and column are then
+    0."""
+    center, generators, matrix, offset = parts
+    scaled, _ = support.unit_rows(matrix, offset)
+    batch = j.shape
+    column = _columns(matrix, j)
+    i = np.abs(_columns(scaled, j)).argmax(axis=-1)[..., None]
+    pivot = np.take_along_axis(column, i, axis=-1)
+    safe = np.where(pivot == 0, 1.0, pivot)
+    wide_matrix = np.broadcast_to(matrix, batch + matrix.shape[-2:])
+    wide_offset = np.broadcast_to(offset, batch + offset.shape[-1:])
+    row = np.take_along_axis(wide_matrix, i[..., None], axis=-2) / safe[..., None]
+    right = np.take_along_axis(wide_offset, i, axis=-1) / safe
+    generator = _columns(generators, j)
+    center = center + generator * right
+    generators = generators - generator[..., None] * row
+    new_matrix = matrix - column[..., None] * row
+    new_offset = offset - column * right
+    # A row of which next to nothing is left said the same as row i; so it goes, too, before rounding speaks for it.
+    before = np.abs(wide_matrix) + np.abs(column[..., None] * row)
+    spent = np.abs(new_matrix).max(axis=-1, initial=0.0) <= SPENT * before.max(axis=-1, initial=0.0)
+    columns, rows = np.arange(matrix.shape[-1]) == j[..., None], (np.arange(matrix.shape[-2]) == i) | spent
+    return (
+        center,
+        np.where(columns[..., None, :], 0.0, generators),
+        np.where(columns[..., None, :] | rows[..., None], 0.0, new_matrix),
+        np.where(rows, 0.0, new_offset),
+    )
+
+
+def _columns(matrix: Array, j: Indices) -> Array:
+    """Column j (..., K) of the matrix (..., 1, r, g): (..., K, r)."""
+    wide = np.broadcast_to(matrix, j.shape + matrix.shape[-2:])
+    return np.asarray(np.take_along_axis(wide, j[..., None, None], axis=-1)[..., 0])
+
+
+def _least_excess(matrix: Array, offset: Array) -> Array:
+    """How far (..., g) beyond [-1, 1] each factor can go if its own bounds alone are given up, at most ``FAR``."""
+    g = matrix.shape[-1]
+    unit = np.eye(g)
+    wide = matrix[..., None, :, :] * (1.0 + (FAR - 1.0) * unit)[:, None, :]
+    found = support.solve(np.zeros(1), unit[:, None, :], wide, offset[..., None, :], np.array([[1.0], [-1.0]]))
+    return np.asarray(np.maximum(FAR * found.bound.max(axis=-1) - 1.0, 0.0))
+
+
+def _propagated_excess(matrix: Array, offset: Array) -> Array:
+    """The same by interval propagation through the rows, twice ([SDB+16], algorithm 1): larger, infinite at most."""
+    rows, g = matrix.shape[-2:]
+    shape = (*np.broadcast_shapes(matrix.shape[:-2], offset.shape[:-1]), g)
+    low, high = np.full(shape, -1.0), np.full(shape, 1.0)
+    reach_low, reach_high = np.full(shape, -np.inf), np.full(shape, np.inf)
+    for i in (*range(rows), *range(rows)):
+        row, right = matrix[..., i, :], offset[..., i, None]
+        ends = np.minimum(row * low, row * high), np.maximum(row * low, row * high)
+        least = right - (ends[1].sum(axis=-1, keepdims=True) - ends[1])
+        most = right - (ends[0].sum(axis=-1, keepdims=True) - ends[0])
+        divisor = np.where(row == 0, 1.0, row)
+        bounds = least / divisor, most / divisor
+        reach_low = np.where(row == 0, reach_low, np.maximum(reach_low, np.minimum(*bounds)))
+        reach_high = np.where(row == 0, reach_high, np.minimum(reach_high, np.maximum(*bounds)))
+        low, high = np.maximum(low, reach_low), np.minimum(high, reach_high)
+        # Where the set is empty they cross.
+        low, high = np.minimum(low, high), np.maximum(low, high)
+    return np.asarray(np.maximum(np.maximum(-reach_low, reach_high) - 1.0, 0.0))
+
+
+def _stiffness(generators: Array, matrix: Array) -> Array:
+    """Per factor (..., g): the least ``|WGd|² + |d|²`` with ``Ad = 0``, ``d_j = 1``, inverted ([SDB+16], section 4.2).
+
+    The paper has W = 1. Here W takes each coordinate in thousandths of its width: what happens in space counts, and the
+    factors' own share only decides between those that do nothing there.
+    """
+    g = matrix.shape[-1]
+    widths = np.abs(generators).sum(axis=-1, keepdims=True)
+    scaled = 1e3 * generators / np.where(widths > 0, widths, 1.0)
+    inverse = np.linalg.inv(np.swapaxes(scaled, -1, -2) @ scaled + np.eye(g))
+    span = matrix @ inverse
+    middle = np.linalg.pinv(span @ np.swapaxes(matrix, -1, -2), hermitian=True)
+    projected = inverse - np.swapaxes(span, -1, -2) @ middle @ span
+    return np.asarray(np.maximum(np.diagonal(projected, axis1=-2, axis2=-1), 1e-12))
+
+
+def _size(parts: Parts) -> Array:
+    """What candidates (..., K) are compared by: area in the plane, else the product of the widths (logarithms)."""
+    _, generators, matrix, offset = parts
+    n = generators.shape[-2]
+    tiny = np.finfo(np.float64).tiny
+    unit = np.eye(n)
+    scale = np.abs(generators).sum(axis=(-1, -3), keepdims=True)
+    scale = np.where(scale > 0, scale, 1.0)
+    directions = planar.directions(COMPARED) if n == 2 else np.concatenate([unit, -unit])
+    heights = support.constrained_support(np.zeros(n), generators / scale, matrix, offset, directions)
+    if n == 2:
+        return np.asarray(np.maximum(planar.polygon_area(planar.outer_polygon(heights)), 0.0))
+    return np.asarray(np.log(np.maximum(heights[..., :n] + heights[..., n:], tiny)).sum(axis=-1))
+
+
+def _compact(parts: Parts, count: int) -> Parts:
+    """At most ``count`` rows, zero ones first to go, and no column that is zero throughout."""
+    center, generators, matrix, offset = parts
+    filled = matrix.any(axis=-1) | (offset != 0)
+    order = np.argsort(~filled, axis=-1, kind="stable")[..., :count]
+    matrix, offset = np.take_along_axis(matrix, order[..., None], axis=-2), np.take_along_axis(offset, order, axis=-1)
+    generators, matrix = without_zero_columns(generators, matrix)
+    return center, generators, matrix, offset
+
+
+def without_zero_columns(generators: Array, matrix: Array) -> tuple[Array, Array]:
+    """Columns that are zero in both are left out (in a batch: as far as all sets have them): exact."""
+    n = generators.shape[-2]
+    lifted = parallel.drop_zero(np.concatenate([generators, matrix], axis=-2))
+    return lifted[..., :n, :], lifted[..., n:, :]
+
+
+def simplify(parts: Parts) -> Parts:
+    """The same set without rows and columns that say nothing: exact.
+
+    Rows go that are zero, that repeat another one times a number (up to 8 ulps, as ``parallel``), and that only tie
+    down a factor of their own which they leave inside its bounds (a cut that does not cut). Columns of ``[G; A]`` that
+    are zero go, parallel ones are merged. A row ``0·β = b`` that cannot hold stays.
+    """
+    center, generators, matrix, offset = common_batch(parts)
+    n = generators.shape[-2]
+    matrix, offset = _without_slack_rows(generators, matrix, offset)
+    # Rows that repeat others are columns of the transposed system.
+    system = np.concatenate([matrix, offset[..., None]], axis=-1)
+    merged = np.swapaxes(parallel.merge_parallel(np.swapaxes(system, -1, -2)), -1, -2)
+    filled = np.asarray(merged.any(axis=-1))
+    system = np.where(filled[..., None], system, 0.0)
+    order = np.argsort(~filled, axis=-1, kind="stable")[..., : int(filled.sum(axis=-1).max(initial=0))]
+    system = np.take_along_axis(system, order[..., None], axis=-2)
+    lifted = parallel.merge_parallel(np.concatenate([generators, system[..., :-1]], axis=-2))
+    generators, matrix = without_zero_columns(lifted[..., :n, :], lifted[..., n:, :])
+    return center, generators, matrix, system[..., -1]
+
+
+def _without_slack_rows(generators: Array, matrix: Array, offset: Array) -> tuple[Array, Array]:
+    """Rows set to 0 whose own factor (no generator, in no other row) can take up all that the others do."""
+    size = np.abs(matrix)
+    own: Mask = ~generators.any(axis=-2) & ((matrix != 0).sum(axis=-2) == 1)
+    slack = np.where(own[..., None, :], size, 0.0).max(axis=-1, initial=0.0)
+    total = size.sum(axis=-1) - slack + np.abs(offset)
+    idle = np.asarray((slack > 0) & (total <= slack))
+    return np.where(np.expand_dims(idle, -1), 0.0, matrix), np.where(idle, 0.0, offset)

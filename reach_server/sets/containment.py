@@ -1,0 +1,153 @@
+"""Zonotope in zonotope, and are two zonotopes disjoint? Answers for a whole batch first, then linear programs."""
+
+import numpy as np
+from scipy.optimize import linprog
+
+from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.intervals import EPS
+
+#: By how much, relative to the outer set's reach, a set may stick out and still count as contained.
+SLACK = 1e-9
+#: The same for the linear programs, whose solver is no more accurate.
+PROGRAM_SLACK = 1e-7
+
+
+def face_normals(generators: Array) -> Array:
+    """Directions (..., K, n) across faces of zonotopes: the axes, and in the plane those across every generator, too.
+
+    Up to the plane they and their opposites decide: between two neighbours the support function is linear.
+    """
+    n = generators.shape[-2]
+    axes = np.broadcast_to(np.eye(n), (*generators.shape[:-2], n, n))
+    if n != 2:
+        return axes
+    return np.concatenate([axes, np.stack([-generators[..., 1, :], generators[..., 0, :]], axis=-1)], axis=-2)
+
+
+def zonotope_contains(center: Array, generators: Array, inner_center: Array, inner_generators: Array) -> Mask:
+    """True (...) where the second zonotope lies in the first, up to 1e-9 (linear programs: 1e-7) of the first's reach.
+
+    True is certain. In one and two dimensions False is certain, too: the difference of the supports is convex between
+    neighbouring edge normals of the outer set, so that the normals decide. Beyond, ``c1 - c = Gγ``, ``G1 = GΓ`` with
+    ``|γ| + |Γ| 1 <= 1`` is sufficient [ST19]; it is met by least-norm factors or by a linear program.
+    """
+    n, g = generators.shape[-2:]
+    batch = np.broadcast_shapes(
+        center.shape[:-1], generators.shape[:-2], inner_center.shape[:-1], inner_generators.shape[:-2]
+    )
+    shift = np.broadcast_to(inner_center - center, (*batch, n))
+    outer = np.broadcast_to(generators, (*batch, n, g))
+    inner = np.broadcast_to(inner_generators, (*batch, *inner_generators.shape[-2:]))
+    rounding = 4 * EPS * (np.abs(center) + np.abs(inner_center))
+    probes = face_normals(generators)
+    reach = np.abs(probes @ generators).sum(axis=-1)
+    needed = np.abs((probes @ shift[..., None])[..., 0]) + np.abs(probes @ inner).sum(axis=-1)
+    slack = SLACK * reach + (np.abs(probes) @ rounding[..., None])[..., 0]
+    slack = slack + (n + g) * EPS * (np.abs(probes) @ np.abs(generators).sum(axis=-1)[..., None])[..., 0]
+    possible = np.broadcast_to((needed <= reach + slack).all(axis=-1), batch)
+    if n <= 2:
+        return possible
+    return _by_factors(outer, np.concatenate([shift[..., None], inner], axis=-1), possible)
+
+
+def _by_factors(outer: Array, targets: Array, possible: Mask) -> Mask:
+    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1."""
+    batch = possible.shape
+    n, g = outer.shape[-2:]
+    outer, targets = outer.reshape(-1, n, g), targets.reshape(-1, *targets.shape[-2:])
+    found = np.zeros(len(outer), dtype=bool)
+    todo = np.flatnonzero(possible)
+    # Coordinates are scaled to the outer set's widths, so that the solvers' accuracy is that of the set.
+    size = np.abs(outer).sum(axis=-1, keepdims=True)
+    scale = np.where(size > 0, size, 1.0)
+    outer, targets = outer / scale, np.where(size > 0, targets / scale, 0.0)
+    if len(todo):
+        shares = np.linalg.pinv(outer[todo]) @ targets[todo]
+        lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1).max(axis=-1, initial=0.0)
+        rows = np.abs(shares).sum(axis=-1).max(axis=-1, initial=0.0)
+        found[todo] = (lost <= SLACK) & (rows <= 1 + SLACK)
+    for index in todo:
+        if not found[index]:
+            found[index] = _least_row_sum(outer[index], targets[index]) <= 1 + PROGRAM_SLACK
+    return found.reshape(batch)
+
+
+def _least_row_sum(outer: Array, targets: Array) -> float:
+    """The least greatest row sum of ``|Γ|`` over ``outer @ Γ = targets``; inf where there is no Γ."""
+    g, m = outer.shape[1], targets.shape[1]
+    if not g:
+        return 0.0 if not targets.any() else np.inf
+    equations = np.kron(outer, np.eye(m))
+    sums = np.kron(np.eye(g), np.ones((1, m)))
+    solution = linprog(
+        np.append(np.zeros(2 * g * m), 1.0),
+        A_ub=np.concatenate([sums, sums, -np.ones((g, 1))], axis=1),
+        b_ub=np.zeros(g),
+        A_eq=np.concatenate([equations, -equations, np.zeros((len(equations), 1))], axis=1),
+        b_eq=targets.ravel(),
+        bounds=(0, None),
+        method="highs",
+    )
+    return float(solution.fun) if solution.status == 0 and solution.fun is not None else np.inf
+
+
+def certainly_disjoint(center: Array, generators: Array, other_center: Array, other_generators: Array) -> Mask:
+    """True (...) where a direction separates the two zonotopes by more than rounding: certain.
+
+    In one and two dimensions the directions tried are all that matter (False says that the sets meet, up to rounding);
+    beyond, a linear program looks for one where these, and a common point of least-norm factors, fail.
+    """
+    shift = other_center - center
+    n = shift.shape[-1]
+    batch = np.broadcast_shapes(shift.shape[:-1], generators.shape[:-2], other_generators.shape[:-2])
+    blocks = [np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in (generators, other_generators)]
+    joined = np.concatenate(blocks, axis=-1)
+    shift = np.broadcast_to(shift, (*batch, n))
+    rounding = np.broadcast_to(np.abs(center) + np.abs(other_center), (*batch, n))
+    probes = face_normals(joined)
+    if n > 2:
+        probes = np.concatenate([probes, shift[..., None, :]], axis=-2)
+    apart = np.asarray(_separates(probes, shift, joined, rounding).any(axis=-1))
+    if n <= 2:
+        return apart
+    flat = (shift.reshape(-1, n), joined.reshape(-1, n, joined.shape[-1]), rounding.reshape(-1, n))
+    result = apart.ravel()
+    todo = np.flatnonzero(~result)
+    if len(todo) and joined.shape[-1]:
+        factors = (np.linalg.pinv(flat[1][todo]) @ flat[0][todo][..., None])[..., 0]
+        size = np.abs(flat[1][todo]).sum(axis=-1)
+        lost = np.abs((flat[1][todo] @ factors[..., None])[..., 0] - flat[0][todo])
+        meets = (np.abs(factors).max(axis=-1) <= 1) & (lost <= SLACK * size).all(axis=-1)
+        todo = todo[~meets]
+    for index in todo:
+        direction = _separating(flat[0][index], flat[1][index])
+        result[index] = _separates(direction[None], flat[0][index], flat[1][index], flat[2][index])[0]
+    return result.reshape(batch)
+
+
+def _separates(directions: Array, shift: Array, generators: Array, rounding: Array) -> Mask:
+    """True (..., K) where ``|d·shift|`` exceeds the reach of the generators and what the sums may have lost."""
+    n, g = generators.shape[-2:]
+    size = np.abs(directions)
+    reach = np.abs(directions @ generators).sum(axis=-1)
+    scale = rounding + np.abs(generators).sum(axis=-1)
+    margin = 2 * (n + g + 4) * EPS * (size @ scale[..., None])[..., 0] + np.finfo(np.float64).tiny
+    return np.asarray(np.abs((directions @ shift[..., None])[..., 0]) > reach + margin)
+
+
+def _separating(shift: Array, generators: Array) -> Array:
+    """A direction (n,) of greatest ``d·shift - Σ|d·g|`` over ``|d_i| <= 1 / width_i``; zero where there is none."""
+    n, g = generators.shape
+    width = np.abs(generators).sum(axis=1) + np.abs(shift)
+    width = np.where(width > 0, width, 1.0)
+    columns = (generators / width[:, None]).T
+    solution = linprog(
+        np.concatenate([-shift / width, np.ones(g)]),
+        A_ub=np.block([[columns, -np.eye(g)], [-columns, -np.eye(g)]]) if g else None,
+        b_ub=np.zeros(2 * g) if g else None,
+        bounds=[(-1, 1)] * n + [(0, None)] * g,
+        method="highs",
+    )
+    if solution.status != 0 or solution.x is None:
+        return np.zeros(n)
+    return np.asarray(solution.x[:n] / width)
