@@ -45,9 +45,9 @@ class Assignments:
         """Let a scenario no longer cut a vehicle."""
         self._assigned.pop((scenario, slot), None)
 
-    def contradicted(self, slot: int) -> bool:
-        """Whether a scenario of this vehicle turned out to be false."""
-        return any(a.contradicted for (_, s), a in self._assigned.items() if s == slot)
+    def contradicted(self) -> set[int]:
+        """Slots of the vehicles of which a scenario turned out to be false."""
+        return {slot for (_, slot), assigned in self._assigned.items() if assigned.contradicted}
 
     def active(self, slots: NDArray[np.intp], times: Ints) -> NDArray[np.bool_]:
         """Which cuts (B, K, C) hold for the vehicles of ``slots`` (B,) at ``times`` (B, K) ns."""

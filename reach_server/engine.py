@@ -235,11 +235,14 @@ class Engine:
 
     @property
     def _table(self) -> CutTable:
-        """The cuts; for calibrated sets, which speak about measured states, widened by the measurement noise."""
+        """The cuts; for calibrated sets, which speak about measured states, widened by the measurement noise, so that
+        none cuts where its bound is not stated."""
         table = self._assignments.table
         if self.method != "calibrated":
             return table
-        margin = np.abs(table.normal @ self.bounds.measurement).sum(axis=1)
+        margin = np.full(table.count, np.inf)
+        if self.profile.noise.measurement is not None:
+            margin = np.abs(table.normal @ self.bounds.measurement).sum(axis=1)
         return replace(table, lower=table.lower - margin, upper=table.upper + margin)
 
     def _calibrated_tube(self, served: _Served, masks: NDArray[np.bool_], both: NDArray[np.intp]) -> Tube:
@@ -278,12 +281,17 @@ class Engine:
         self._predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free[0])
         slots = served.slots.tolist()
         deficient = self._models.rank_deficient(served.slots).tolist()
+        contradicted = self._assignments.contradicted()
         return Tubes(
             tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times, steps, free,
             area, free_area, np.stack([f.outline for f in figures], axis=1),
             np.stack([f.hull for f in figures], axis=1), tuple(self._label(slot) for slot in slots), self.method,
             self._assignments.describe(served.slots, cut),
-            tuple(self._notes(slot, bad) for slot, bad in zip(slots, deficient, strict=True)), tuple(events), waiting,
+            tuple(
+                self._notes(rank_deficient=bad, contradicted=slot in contradicted)
+                for slot, bad in zip(slots, deficient, strict=True)
+            ),
+            tuple(events), waiting,
         )  # fmt: skip
 
     def _no_tubes(self, waiting: dict[str, str]) -> Tubes:
@@ -344,13 +352,13 @@ class Engine:
             return Label.UNCOVERED
         return Label.GUARANTEED if self.profile.guaranteed else Label.CALIBRATED
 
-    def _notes(self, slot: int, rank_deficient: bool) -> tuple[str, ...]:
+    def _notes(self, *, rank_deficient: bool, contradicted: bool) -> tuple[str, ...]:
         notes = ["rank deficient"] if rank_deficient else []
         if self.method == "calibrated":
             notes += [] if self._planned else ["learned driver"]
         elif self._lipschitz is None:
             notes.append("no Lipschitz bound")
-        if self._assignments.contradicted(slot):
+        if contradicted:
             notes.append("side information contradicted")
         return tuple(notes)
 

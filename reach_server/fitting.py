@@ -79,7 +79,8 @@ class Models:
         if self._is_calibrated:
             fitted: Any = calibrated.fit(block, self._profile, self._layout, self._horizon, planned=self._planned)
             unknowns = fitted.mean.shape[1]
-            enough = np.isfinite(fitted.half).all(axis=(1, 2)) & (fitted.scores >= DATA_PER_UNKNOWN * unknowns)
+            least = max(calibrated.least_scores(self._profile.confidence), DATA_PER_UNKNOWN * unknowns)
+            enough = np.isfinite(fitted.half).all(axis=(1, 2)) & (fitted.scores >= least)
             fitted = take(fitted, enough)
         else:
             data = transitions(block, self._layout)
