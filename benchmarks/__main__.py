@@ -10,7 +10,18 @@ import os
 import sys
 from pathlib import Path
 
-NAMES = ("engine", "wire", "support", "outline", "strips", "constraints", "vehicles", "growth")
+NAMES = (
+    "engine",
+    "wire",
+    "support",
+    "outline",
+    "strips",
+    "constraints",
+    "vehicles",
+    "growth",
+    "progression",
+    "encodings",
+)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -28,12 +39,24 @@ def main(words: list[str] | None = None) -> int:
     # One thread for every side, said before NumPy is loaded.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    from benchmarks import constraints, engine, growth, outline, strips, support, vehicles, wire
+    from benchmarks import (
+        constraints,
+        encodings,
+        engine,
+        growth,
+        outline,
+        progression,
+        strips,
+        support,
+        vehicles,
+        wire,
+    )
     from benchmarks.report import as_json, as_markdown, conditions
 
     work = {
         "engine": engine.run, "wire": wire.run, "support": support.run, "outline": outline.run, "strips": strips.run,
         "constraints": constraints.run, "vehicles": vehicles.run, "growth": growth.run,
+        "progression": progression.run, "encodings": encodings.run,
     }  # fmt: skip
     tables = {}
     for name in arguments.names or NAMES:

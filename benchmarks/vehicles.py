@@ -1,15 +1,23 @@
 """One tube for each of 1000 vehicles: all in one batch, and one call per vehicle."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import median_seconds, seconds
+from reach_server.cuts import CutMethod
+from reach_server.factor_sets import FactorSet
 from reach_server.model import NoiseBounds, fit
-from reach_server.predicates import CutTable
+from reach_server.predicates import Context, Literals
+from reach_server.recursion import InputSets, Recursion
 from reach_server.regression import Layout, transitions
 from reach_server.rows import take
-from reach_server.tube import CutMethod, FactorSet, InputSets, Tube, propagate
+from reach_server.tube import Knowledge, Tracks, Tube, propagate
 from reach_server.windows import Block
+from side_info import LinearPredicate
+from side_info.normal import Conjunction, Globally, Literal
+from side_info.progression import Grid
+from side_info.progression import Table as Obligations
 from vehicle_agent.simulate import simulate_history
 from vehicle_agent.svea import SveaParameters, profile
 
@@ -33,7 +41,7 @@ def run(quick: bool) -> Table:
 
     rng = np.random.default_rng(0)
     states = np.column_stack([
-        rng.uniform(-5, 5, (vehicles, 2)), rng.uniform(-3, 3, vehicles), rng.uniform(0.2, 1.5, vehicles),
+        rng.uniform(-3.9, 3.9, (vehicles, 2)), rng.uniform(-3, 3, vehicles), rng.uniform(0.2, 1.5, vehicles),
     ])  # fmt: skip
     limit = np.array([parameters.steering_limit, parameters.velocity_limit])
     known = rng.uniform(-0.5, 0.5, (vehicles, layout.lags + HORIZON, 2)) * limit
@@ -41,22 +49,28 @@ def run(quick: bool) -> Table:
         known[:, : layout.lags], known[:, layout.lags :], np.broadcast_to(0.1 * limit, (vehicles, HORIZON, 2))
     )
     start = FactorSet.zonotope(states, np.broadcast_to(bounds.measurement, (vehicles, *bounds.measurement.shape)))
-    # A corridor along each axis that cuts some vehicles and not others.
-    table = CutTable(
-        np.eye(2, layout.n), np.array([-4.0, -4.0]), np.array([4.0, 4.0]), (0, 1), ("lot", "lot"), (0, 1), ("x", "y")
-    )
-    active = np.ones((vehicles, HORIZON + 1, 2), dtype=bool)
+    # A corridor along each axis, always, near the border of which some of the vehicles are.
+    literals = Literals(layout.n, (0, 1), np.zeros((layout.n, 0)))
+    names = [
+        literals.add(LinearPredicate(name, {name: 1.0}, -4.0, 4.0), {"x": 0, "y": 1}, scenario="lot", name=name)
+        for name in ("x", "y")
+    ]
+    obligations = Obligations()
+    always = Globally(0, 2 * HORIZON * parameters.dt_ns, Conjunction((Literal(0), Literal(1))))
+    root = obligations.add(always, Grid(parameters.dt_ns), lambda predicate, _: names[predicate])
 
     rows: list[tuple[Cell, ...]] = []
     claims: list[Claim] = []
     methods: tuple[CutMethod, ...] = ("zonotope", "constrained")
     for cuts in methods:
+        knowledge = Knowledge(obligations, literals, lambda k, track: _nowhere, cuts, (0, 1))
 
-        def tube(which: slice, cuts: CutMethod = cuts) -> Tube:
-            return propagate(
-                take(start, which), take(inputs, which), take(model, which), bounds.process, layout, table,
-                active[which], cuts=cuts,
-            )  # fmt: skip
+        def tube(which: slice, knowledge: Knowledge = knowledge) -> Tube:
+            motion = Recursion(take(inputs, which), take(model, which), bounds.process, layout)
+            sets = take(start, which)
+            each = np.arange(len(sets.center))
+            tracks = Tracks(each, sets, each, np.full(len(each), root), np.ones(len(each), dtype=bool))
+            return propagate(tracks, motion, knowledge, layout.n)
 
         batch = median_seconds(lambda: tube(slice(None)), 3) / vehicles
         tube(slice(0, 1))
@@ -76,10 +90,17 @@ def run(quick: bool) -> Table:
     )
 
 
+def _nowhere(literal: int, rows: NDArray[np.intp]) -> Context:
+    """These predicates refer to the state alone."""
+    nothing = np.zeros((len(rows), 0))
+    zero = np.zeros(len(rows))
+    return Context(zero, zero, zero, nothing, nothing)
+
+
 def _difference(batch: Tube, alone: list[Tube]) -> float:
     worst = 0.0
-    for k, sets in enumerate(batch.steps):
-        half = np.abs(sets.generators).sum(axis=-1)
-        single = np.stack([np.abs(tube.steps[k].generators).sum(axis=-1)[0] for tube in alone])
+    for k, step in enumerate(batch.steps):
+        half = np.abs(step.sets.generators).sum(axis=-1)
+        single = np.stack([np.abs(tube.steps[k].sets.generators).sum(axis=-1)[0] for tube in alone])
         worst = max(worst, float((np.abs(half - single) / half).max()))
     return worst

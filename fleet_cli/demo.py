@@ -16,12 +16,17 @@ from fleet_bus.router import Router
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
 from side_info.scenario import Scenario
-from vehicle_agent.route import route_names
 
 #: Seconds that the processes have to get ready, and the vehicles to get their first tube.
 READY_SECONDS = 60.0
 #: Vehicles that one agent process serves.
 VEHICLES_A_PROCESS = 50
+#: Scenarios of the demo with the routes that obey them, and one that does not.
+ROUTES = {
+    "parking-lot": ("parking-lot", "roundabout"),
+    "parking-lot-motion": ("parking-lot", "roundabout"),
+    "roundabout": ("roundabout", "parking-lot"),
+}
 #: Events that an honest demo does not lead to.
 UNWANTED = (
     EventKind.CONTRADICTION,
@@ -34,13 +39,22 @@ UNWANTED = (
 
 
 class Demo:
-    """One run of the demo; ``run`` returns its summary, ``draw`` pictures it afterwards."""
+    """One run of the demo; ``run`` returns its summary, ``draw`` pictures it afterwards.
 
-    def __init__(self, scenario: str, vehicles: int, duration: float, *, port: int = 0, seed: int = 1) -> None:
-        if scenario not in route_names():
-            raise UsageError(f"--scenario {scenario!r}: choose one of {', '.join(route_names())}")
+    The last ``stray`` of the vehicles take another route, which leaves the scenario.
+    """
+
+    def __init__(
+        self, scenario: str, vehicles: int, duration: float, *, stray: int = 0, port: int = 0, seed: int = 1
+    ) -> None:
+        if scenario not in ROUTES:
+            raise UsageError(f"--scenario {scenario!r}: choose one of {', '.join(ROUTES)}")
+        if stray > vehicles:
+            raise UsageError(f"--stray {stray}: there are {vehicles} vehicles only")
         self.scenario = Scenario.load(scenario)
+        self._routes = ROUTES[scenario]
         self._vehicles = [f"svea{i + 1}" for i in range(vehicles)]
+        self._stray = self._vehicles[vehicles - stray :]
         self._duration = duration
         self._port = port
         self._seed = seed
@@ -69,14 +83,16 @@ class Demo:
         reach.wait_for("ready", READY_SECONDS, stop)
         side_info.wait_for("publishes", READY_SECONDS, stop)
         say(f"reach server and side information are up: scenario {self.scenario.name}", highlight=False)
-        for first in range(0, len(self._vehicles), VEHICLES_A_PROCESS):
-            names = self._vehicles[first : first + VEHICLES_A_PROCESS]
-            agents = children.start(
-                "vehicle agents", "agent", *(part for name in names for part in ("--vehicle", name)),
-                "--source", "sim", "--route", self.scenario.name, "--seed", str(self._seed + first),
-                "--speed", str(self._speed), *at,
-            )  # fmt: skip
-            agents.wait_for("agents ready", READY_SECONDS, stop)
+        obedient = self._vehicles[: len(self._vehicles) - len(self._stray)]
+        for route, chosen in zip(self._routes, (obedient, self._stray), strict=True):
+            for first in range(0, len(chosen), VEHICLES_A_PROCESS):
+                names = chosen[first : first + VEHICLES_A_PROCESS]
+                seed = self._seed + self._vehicles.index(names[0])
+                agents = children.start(
+                    "vehicle agents", "agent", *(part for name in names for part in ("--vehicle", name)),
+                    "--source", "sim", "--route", route, "--seed", str(seed), "--speed", str(self._speed), *at,
+                )  # fmt: skip
+                agents.wait_for("agents ready", READY_SECONDS, stop)
         pace = "" if self._speed == 1.0 else f", {self._speed:.3g} times faster than real time"
         say(f"{len(self._vehicles)} simulated vehicles drive{pace}", highlight=False)
 
@@ -158,10 +174,11 @@ class Demo:
         return table
 
     def _summary(self, monitor: Monitor) -> dict[str, Any]:
-        coverage = monitor.coverage()
+        seen = monitor.coverage()
+        coverage = {vehicle: own for vehicle, own in seen.items() if vehicle not in self._stray}
         by_vehicle = {}
         for vehicle in self._vehicles:
-            own = coverage.get(vehicle)
+            own = seen.get(vehicle)
             by_vehicle[vehicle] = {
                 "samples": monitor.counts[vehicle]["samples"],
                 "tubes": monitor.counts[vehicle]["tubes"],
@@ -173,6 +190,8 @@ class Demo:
         latency = monitor.latencies() * 1e3
         events: dict[str, int] = {}
         for event in monitor.events:
+            if event.vehicle in self._stray and event.kind is EventKind.CONTRADICTION:
+                continue
             events[str(event.kind)] = events.get(str(event.kind), 0) + 1
         refused = dict(monitor.rejections.snapshot())
         for status in monitor.status.values():
@@ -195,11 +214,26 @@ class Demo:
             },
             "events": events,
             "refused": refused,
+            "stray": {vehicle: self._strayed(monitor, vehicle) for vehicle in self._stray},
             "server_failures": sum(s.counters.get("failures", 0) for s in monitor.status.values()),
             "evaluation": self._evaluation(monitor, steps),
         }
         summary["failures"] = self._failures(summary)
         return summary
+
+    def _strayed(self, monitor: Monitor, vehicle: str) -> dict[str, Any]:
+        """When a vehicle that leaves the scenario was told about (None: never), by which predicates, and how its sets
+        held from then on."""
+        told = [e for e in monitor.events if e.vehicle == vehicle and e.kind is EventKind.CONTRADICTION]
+        if not told:
+            return {"told_at": None, "predicates": "", "checked": 0, "inside": 0}
+        own = monitor.coverage_from(vehicle, told[0].t)
+        return {
+            "told_at": told[0].details["elapsed"],
+            "predicates": told[0].details["predicate"],
+            "checked": int(own.checked.sum()),
+            "inside": int((own.inside & own.checked).sum()),
+        }
 
     def _evaluation(self, monitor: Monitor, steps: list[dict[str, Any]]) -> dict[str, Any]:
         labels: dict[str, int] = {}
@@ -218,12 +252,17 @@ class Demo:
         for vehicle, own in summary["by_vehicle"].items():
             if own["tubes"] == 0:
                 failures.append(f"no tube of {vehicle}")
-            if own["inside"] < own["checked"]:
+            if own["inside"] < own["checked"] and vehicle not in self._stray:
                 failures.append(f"{own['checked'] - own['inside']} true next states of {vehicle} lay outside their set")
         if summary["horizon"]["inside"] < summary["horizon"]["checked"]:
             failures.append("a true state lay outside its set within the horizon")
         if summary["one_step"]["checked"] == 0:
             failures.append("no prediction could be checked against the truth")
+        for vehicle, own in summary["stray"].items():
+            if own["told_at"] is None:
+                failures.append(f"{vehicle} left the scenario, and no event told so")
+            elif own["inside"] < own["checked"]:
+                failures.append(f"a true state of {vehicle} lay outside its set after it had left the scenario")
         over_all = summary["area"].get("all")
         if over_all is not None and not over_all["with"] < over_all["without"]:
             failures.append("side information did not make the sets smaller")

@@ -13,8 +13,8 @@ from fleet_bus.errors import RecordingError
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
 from reach_server import audit
 from reach_server.engine import Engine, KnownInputs
+from reach_server.factor_sets import join_sets
 from reach_server.results import Tubes
-from reach_server.tube import join_sets
 from reach_server.windows import SampleBatch
 from vehicle_agent.recording import Recording
 from vehicle_agent.sources import RecordingSource

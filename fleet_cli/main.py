@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from fleet_bus.errors import FleetError, UsageError
+from fleet_bus.errors import FleetError, ScenarioError, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 
 app = typer.Typer(
@@ -109,16 +109,21 @@ def side_info(
     clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.")] = 0.0,
     router: Routers = _DEFAULT_ROUTERS,
 ) -> None:
-    """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario."""
+    """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.
+
+    Scenario files are watched: a changed one is published once its version is raised and it checks.
+    """
     from fleet_bus import Role, open_session
+    from side_info import watching
     from side_info.scenario import Scenario
     from side_info.service import EVERY_VEHICLE, SideInfoService
 
     stop = stop_on_signals()
     loaded = [Scenario.load(name) for name in scenarios]
     pairs = dict(_pair(text) for text in assign) if assign else {EVERY_VEHICLE: loaded[0].name}
+    files = watching.files(scenarios, loaded)
     with open_session(Role.SERVICE, router) as session:
-        service = SideInfoService(session, loaded, pairs, id, clock_offset=clock_offset)
+        service = SideInfoService(session, loaded, pairs, id, files=files, clock_offset=clock_offset)
         print(f"side-info publishes {', '.join(s.name for s in loaded)}", flush=True)
         service.run(stop)
 
@@ -130,30 +135,69 @@ def _pair(text: str) -> tuple[str, str]:
     return vehicle, scenario
 
 
-@scenario_app.command("list")
-def scenario_list() -> None:
-    """Name the scenarios that ship with the project."""
-    from side_info.scenario import shipped
+SampleTime = Annotated[float | None, typer.Option("--sample-time", help="Of the vehicles' samples, s.", min=1e-4)]
 
-    for name in shipped():
-        print(name)
+
+@scenario_app.command("list")
+def scenario_list(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the list here; '-' for stdout.")] = None,
+) -> None:
+    """Name the scenarios that ship with the project, and what each is about."""
+    from fleet_cli.scenario_files import describe
+    from side_info.scenario import Scenario, shipped
+
+    found = {name: describe(Scenario.load(name)) for name in shipped()}
+    if str(json_file) != "-":
+        width = max(map(len, found), default=0)
+        for name, text in found.items():
+            print(f"{name:<{width}}  {text}")
+    write_json([{"scenario": name, "description": text} for name, text in found.items()], json_file)
 
 
 @scenario_app.command("check")
 def scenario_check(
     scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
     profile: Annotated[str | None, typer.Option(help="Profile whose states the scenario must fit.")] = None,
+    sample_time: SampleTime = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found here; '-' for stdout.")] = None,
 ) -> None:
-    """Check scenario documents; exit code 2 names the first error with its place."""
+    """Check scenario documents; exit code 2 names the errors with their places, warnings do not change it."""
+    from fleet_cli import scenario_files
     from fleet_cli.profile_files import find_profile
-    from side_info.scenario import Scenario
 
-    for name in scenarios:
-        scenario = Scenario.load(name)
-        if profile is not None:
-            scenario.state_indices(find_profile(profile))
-        seconds = scenario.end_ns / 1e9
-        print(f"{scenario.name} v{scenario.version}: {len(scenario.predicates)} predicates over {seconds:g} s")
+    chosen = find_profile(profile) if profile is not None else None
+    checked, errors = scenario_files.check(scenarios, chosen, sample_time)
+    if str(json_file) != "-":
+        for one in checked:
+            print(f"{one.scenario.name} v{one.scenario.version}: {scenario_files.summarize(one.scenario)}")
+            for finding in one.findings:
+                print(f"  {scenario_files.place(one, finding)}: warning: {finding.message}")
+    write_json(scenario_files.as_json(checked, errors), json_file)
+    if errors:
+        raise ScenarioError("\n".join(map(str, errors)))
+
+
+@scenario_app.command("show")
+def scenario_show(
+    scenario: Annotated[str, typer.Argument(help="Shipped scenario or scenario file.")],
+    sample_time: Annotated[float, typer.Option(help="Of the vehicles' samples, s.", min=1e-4)] = 0.05,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Draw it here (PNG, SVG or PDF).")] = None,
+) -> None:
+    """Say what a scenario asks for and when; draw its regions, and when it asks for which predicate."""
+    from fleet_cli import scenario_files
+    from fleet_cli.scenario_activity import activity
+    from fleet_cli.scenario_report import print_scenario
+
+    checked, errors = scenario_files.check([scenario], None, sample_time)
+    if errors:
+        raise errors[0]
+    found = activity(checked[0].scenario, sample_time)
+    print_scenario(checked[0], found)
+    if output is not None:
+        from fleet_cli.scenario_picture import draw_scenario
+
+        draw_scenario(checked[0].scenario, found, output)
+        print(f"picture: {output}")
 
 
 @app.command()
@@ -247,8 +291,9 @@ def evaluate(
 
 @app.command()
 def demo(
-    scenario: Annotated[str, typer.Option(help="parking-lot or roundabout.")] = "parking-lot",
+    scenario: Annotated[str, typer.Option(help="parking-lot, parking-lot-motion or roundabout.")] = "parking-lot",
     vehicles: Annotated[int, typer.Option(help="Simulated vehicles.", min=1, max=200)] = 4,
+    stray: Annotated[int, typer.Option(help="How many of them leave the scenario.", min=0)] = 0,
     duration: Annotated[float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0)] = 40.0,
     headless: Annotated[bool, typer.Option(help="Print lines instead of a live table.")] = False,
     port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.")] = 0,
@@ -262,7 +307,7 @@ def demo(
 
     stop = stop_on_signals()
     to_stdout = json_file is not None and str(json_file) == "-"
-    run = Demo(scenario, vehicles, duration, port=port, seed=seed)
+    run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed)
     summary = run.run(stop, live=not headless, quiet=to_stdout)
     if not to_stdout:
         print_summary(summary)

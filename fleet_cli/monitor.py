@@ -109,13 +109,19 @@ class Monitor:
             by_vehicle[key[0]].append(key)
         return {vehicle: self._coverage_of(vehicle, found) for vehicle, found in by_vehicle.items()}
 
+    def coverage_from(self, vehicle: str, t: int) -> "VehicleCoverage":
+        """Coverage of the tubes of one vehicle from samples not before ``t`` (ns)."""
+        return self._coverage_of(
+            vehicle, [k for k in sorted(self.tubes) if k[0] == vehicle and self.tubes[k].message.t >= t]
+        )
+
     def _coverage_of(self, vehicle: str, found: list[SampleKey]) -> "VehicleCoverage":
         tubes: list[ReachTube] = [self.tubes[key].message for key in found]
-        horizon = min(len(tube.times) for tube in tubes)
+        horizon = min((len(tube.times) for tube in tubes), default=0)
         checked = np.zeros((len(tubes), horizon), dtype=bool)
         inside = np.zeros((len(tubes), horizon), dtype=bool)
-        area = np.array([tube.area[:horizon] for tube in tubes])
-        area_free = np.array([tube.area_free[:horizon] for tube in tubes])
+        area = np.array([tube.area[:horizon] for tube in tubes]).reshape(len(tubes), horizon)
+        area_free = np.array([tube.area_free[:horizon] for tube in tubes]).reshape(len(tubes), horizon)
         profile = self.profiles.get(vehicle)
         angles = np.flatnonzero(profile.angles) if profile is not None else ()
         for h in range(horizon):

@@ -11,9 +11,11 @@ from matplotlib.patches import Polygon
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import StateSample
 from fleet_cli.monitor import Monitor
+from fleet_cli.scenario_activity import activity
 from reach_server.engine import Engine, KnownInputs
-from reach_server.predicates import activity, compile_cuts
-from reach_server.results import Tubes, figures
+from reach_server.figures import PlaneStrips, figures
+from reach_server.predicates import Literals
+from reach_server.results import Tubes
 from reach_server.sets import planar
 from reach_server.windows import Floats, SampleBatch
 from side_info.scenario import Scenario
@@ -69,15 +71,19 @@ def _fit(axis: Axes, monitor: Monitor) -> None:
 
 
 def _draw_region(axis: Axes, monitor: Monitor, scenario: Scenario, vehicles: list[str], elapsed: int) -> None:
-    """The intersection of the predicates that are active at an instant."""
+    """Where the scenario says that vehicles are at an instant, whatever they do before."""
     profile = monitor.profiles[vehicles[0]]
-    table = compile_cuts((scenario,), profile)
-    active = activity(table, {scenario.name: scenario}, scenario.name, np.array([elapsed]), 0)[0]
+    index = scenario.state_indices(profile)
+    literals = Literals(len(profile.state), profile.position, np.zeros((len(profile.state), 0)))
+    step = elapsed // profile.sample_time_ns
+    for number in np.flatnonzero(activity(scenario, profile.sample_time).always[step]).tolist():
+        predicate = scenario.predicates[number]
+        literals.add(predicate, index, scenario=scenario.name, name=predicate.name)
+    strips = PlaneStrips.of(literals, len(profile.state), profile.position)
     vertices = FAR * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    for c in np.flatnonzero(active):
-        normal = table.normal[c, list(profile.position)]
-        vertices = planar.clip(vertices, normal, np.array(table.upper[c]))
-        vertices = planar.clip(vertices, -normal, np.array(-table.lower[c]))
+    for c in range(len(strips.literal)):
+        vertices = planar.clip(vertices, strips.normal[c], np.array(strips.upper[c]))
+        vertices = planar.clip(vertices, -strips.normal[c], np.array(-strips.lower[c]))
     axis.add_patch(Polygon(vertices, closed=True, fc="0.93", ec="0.75", zorder=0))
 
 
@@ -92,11 +98,10 @@ def _draw_vehicle(axis: Axes, monitor: Monitor, scenario: Scenario, vehicle: str
     if tubes is None:
         return
     nothing = np.zeros((1, 0), dtype=bool)
-    empty = compile_cuts((), monitor.profiles[vehicle])
+    plane = monitor.profiles[vehicle].position
     for k in range(0, len(tubes.steps), 3):
-        plane = monitor.profiles[vehicle].position
         center = tubes.free[k].center[0, list(plane)]
-        free: Floats = center + figures(tubes.free[k], nothing, empty, plane).outline[0]
+        free: Floats = center + figures(tubes.free[k], nothing, PlaneStrips.none(), plane).outline()[0]
         cut = tubes.steps[k].center[0, list(plane)] + tubes.outline[0, k]
         axis.add_patch(Polygon(free, closed=True, fc="none", ec="0.45", ls="--", lw=0.9))
         axis.add_patch(Polygon(cut, closed=True, fc=color, ec=color, alpha=0.45, lw=0.8))

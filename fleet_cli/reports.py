@@ -78,6 +78,12 @@ def print_summary(summary: Mapping[str, Any]) -> None:
     lines.append(f"state to tube: {latency['p50']:.1f} ms median, {latency['p99']:.1f} ms 99 %")
     events = ", ".join(f"{count} {kind}" for kind, count in summary["events"].items()) or "none"
     lines.append(f"events: {events}; messages refused: {sum(summary['refused'].values())}")
+    for vehicle, stray in summary["stray"].items():
+        if stray["told_at"] is not None:
+            lines.append(
+                f"{vehicle} left the scenario: told at {stray['told_at']:.2f} s ({stray['predicates']}), from then on "
+                f"{stray['inside']} of {stray['checked']} true states inside its uncut sets"
+            )
     for line in lines:
         console.print(line, highlight=False, soft_wrap=True)
     for failure in summary["failures"]:

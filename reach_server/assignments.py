@@ -1,106 +1,286 @@
-"""Which scenario cuts which vehicle, since when, and when a scenario turned out to be false."""
+"""Which scenario cuts which vehicle, how far each vehicle is in it, and when a scenario turned out to be false."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import Cut, EventKind, VehicleProfile
-from reach_server.predicates import CutTable, activity, compile_cuts
+from reach_server.courses import ASSUME, Course
+from reach_server.cuts import Contexts
+from reach_server.predicates import Context, Literals
 from reach_server.results import EngineEvent
-from reach_server.windows import Ints
+from reach_server.rows import take, with_room
+from reach_server.sets.arrays import Array
+from reach_server.tube import MOST_BRANCHES
+from reach_server.verdicts import verdict
+from reach_server.windows import Block, Floats, Ints
 from side_info import Scenario
+from side_info.progression import DEAD, TRUE, Grid, Table
+
+Slots = NDArray[np.intp]
+
+#: Names of a requirement's two formulas, of which one ends when the requirement is settled.
+HOLDS: Final = "holds "
+FAILS: Final = "fails "
 
 
-@dataclass(slots=True)
-class _Assigned:
-    time_zero: int
-    slack: int
-    contradicted: bool = False
+@dataclass(frozen=True, slots=True, eq=False)
+class Instants:
+    """When and from where tubes of some vehicles start: ``slots`` (B,), stamps ``t`` (B,) ns, and a box around each
+    true state then, ``lower`` and ``upper`` (B, n)."""
+
+    slots: Slots
+    t: Ints
+    lower: Floats
+    upper: Floats
 
 
 class Assignments:
-    """Scenarios of a vehicle class and the vehicles that they hold for."""
+    """Scenarios of a vehicle class and the vehicles that they hold for.
 
-    def __init__(self, profile: VehicleProfile) -> None:
+    Args:
+        profile: the class.
+        noise: generators (n, g) by which the states that the cut sets speak about may differ from true ones; None if
+            that is not known, so that nothing cuts.
+        received: generators (n, g) by which received states may; None likewise, so that nothing can be contradicted.
+    """
+
+    def __init__(
+        self, profile: VehicleProfile, noise: Array | None, received: Array | None, horizon: int | None = None
+    ) -> None:
         self._profile = profile
-        self._scenarios: dict[str, Scenario] = {}
-        self._assigned: dict[tuple[str, int], _Assigned] = {}
-        self.table: CutTable = compile_cuts((), profile)
+        self._horizon = horizon or profile.horizon
+        n = len(profile.state)
+        self.plane = profile.position if n >= 2 and profile.position[0] != profile.position[1] else None
+        self.table = Table()
+        self.literals = Literals(n, self.plane, noise)
+        self._received = received
+        self._courses: dict[str, Course] = {}
+        #: Stamp of the sample that began the current trajectory, by slot; 0 where none was seen.
+        self._began = np.zeros(0, dtype=np.int64)
 
     def assign(self, slot: int, scenario: Scenario, time_zero: int, clock_offset: float) -> None:
-        """Let a scenario cut a vehicle; the same assignment again changes nothing."""
-        if self._scenarios.get(scenario.name) != scenario:
-            scenarios = {**self._scenarios, scenario.name: scenario}
-            self.table = compile_cuts(tuple(scenarios[name] for name in sorted(scenarios)), self._profile)
-            self._scenarios = scenarios
-            for (name, _), assigned in self._assigned.items():
-                assigned.contradicted &= name != scenario.name
-        slack = int(np.ceil(clock_offset * 1e9))
-        known = self._assigned.get((scenario.name, slot))
-        if known is None or (known.time_zero, known.slack) != (time_zero, slack):
-            self._assigned[scenario.name, slot] = _Assigned(time_zero, slack)
+        """Let a scenario cut a vehicle; the same assignment again changes nothing.
+
+        Another document of the same name replaces it for every vehicle that takes part, from its time zero on.
+        """
+        course = self._courses.get(scenario.name)
+        if course is None or course.scenario.text != scenario.text:
+            course = self._replace(course, scenario)
+        course.assign(slot, time_zero, int(np.ceil(clock_offset * 1e9)))
+        self._began = with_room(self._began, slot + 1, self._began)
+
+    def _replace(self, before: Course | None, scenario: Scenario) -> Course:
+        index = scenario.state_indices(self._profile)
+        speed = np.zeros(len(self._profile.state))
+        for name, bound in scenario.speed.items():
+            speed[index[name]] = bound
+        normals = {ASSUME: scenario.side_information}
+        for name, requirement in scenario.requirements.items():
+            normals |= {HOLDS + name: requirement.holds, FAILS + name: requirement.fails}
+
+        def literal(number: int, margin_ns: int) -> int:
+            predicate = scenario.predicates[number]
+            return self.literals.add(
+                predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
+            )
+
+        def root(formula: str, grid: Grid, lead: int) -> int:
+            return self.table.add(normals[formula], grid, literal, lead=lead)
+
+        formulas = {name: partial(root, name) for name in normals}
+        course = Course(scenario, self.table, self._profile.sample_time_ns, self._horizon + 1, formulas)
+        course.take_over(before)
+        self._courses[scenario.name] = course
+        return course
 
     def unassign(self, slot: int, scenario: str) -> None:
         """Let a scenario no longer cut a vehicle."""
-        self._assigned.pop((scenario, slot), None)
+        course = self._courses.get(scenario)
+        if course is not None and slot < len(course.assigned):
+            course.assigned[slot] = False
+
+    def began(self, slots: Slots, t: Ints) -> None:
+        """Trajectories begin (B,): a scenario that begins with the vehicle says nothing about a later trajectory."""
+        self._began = with_room(self._began, int(slots.max()) + 1, self._began)
+        np.maximum.at(self._began, slots, t)
 
     def contradicted(self) -> set[int]:
         """Slots of the vehicles of which a scenario turned out to be false."""
-        return {slot for (_, slot), assigned in self._assigned.items() if assigned.contradicted}
+        return {
+            slot
+            for course in self._courses.values()
+            for slot in np.flatnonzero(course.assigned & course.contradicted).tolist()
+        }
 
-    def active(self, slots: NDArray[np.intp], times: Ints) -> NDArray[np.bool_]:
-        """Which cuts (B, K, C) hold for the vehicles of ``slots`` (B,) at ``times`` (B, K) ns."""
-        result = np.zeros((*times.shape, self.table.count), dtype=bool)
-        place = {int(slot): row for row, slot in enumerate(slots)}
-        groups: dict[tuple[str, int], list[tuple[int, int]]] = {}
-        for (name, slot), assigned in self._assigned.items():
-            if slot in place and not assigned.contradicted:
-                groups.setdefault((name, assigned.slack), []).append((place[slot], assigned.time_zero))
-        for (name, slack), members in groups.items():
-            rows = np.array([row for row, _ in members])
-            zeros = np.array([zero for _, zero in members], dtype=np.int64)
-            result[rows] |= activity(self.table, self._scenarios, name, times[rows] - zeros[:, None], slack)
-        return result
+    def receive(
+        self, slots: Slots, names: Sequence[str], newest: Ints, block: Callable[[Slots, int | None], Block]
+    ) -> list[EngineEvent]:
+        """Take in what has been measured of some vehicles (B,) since the last time; what that contradicts.
 
-    def contradict(self, slot: int, vehicle: str, t: int, empty: NDArray[np.bool_] | None) -> list[EngineEvent]:
-        """Stop cutting a vehicle by the scenarios that left nothing, (K, C) or all of its scenarios; tell once."""
-        if empty is None:
-            guilty = {name: "" for (name, s), a in self._assigned.items() if s == slot and not a.contradicted}
-        else:
-            guilty = {}
-            for c in np.flatnonzero(empty.any(axis=0)):
-                guilty.setdefault(self.table.scenario[c], self.table.names[c])
-        events = []
-        for name, predicate in guilty.items():
-            assigned = self._assigned.get((name, slot))
-            if assigned is None or assigned.contradicted:
+        ``newest`` (B,) are their newest stamps, ``block`` gives their newest samples, all of them for a length of None.
+        """
+        events: list[EngineEvent] = []
+        for course in self._courses.values():
+            course.grow(int(slots.max(initial=-1)) + 1)
+            course.resynchronise(slots, newest)
+            waiting = slots[course.unseen(slots, newest) & self._speaks(course, slots)]
+            if not len(waiting):
                 continue
-            assigned.contradicted = True
-            elapsed = (t - assigned.time_zero) / 1e9
-            by = f" ({predicate})" if predicate else ""
-            message = (
-                f"scenario {name}{by} contradicts what was measured at {elapsed:.3f} s: it no longer cuts {vehicle}"
-            )
-            events.append(
-                EngineEvent(
-                    EventKind.CONTRADICTION,
-                    vehicle,
-                    t,
-                    message,
-                    {"scenario": name, "predicate": predicate, "elapsed": elapsed},
-                )
-            )
+            recent = block(waiting, 2)
+            # Usually one sample has come; all of the window is looked through only where more have.
+            more = course.unseen(waiting, recent.t[:, 0]) & recent.valid[:, 0]
+            lost = self._see(course, waiting[~more], take(recent, ~more))
+            if more.any():
+                lost += self._see(course, waiting[more], block(waiting[more], None))
+            again = course.again()
+            if len(again):
+                lost += self._see(course, again, block(again, None))
+            for slot, t, literals in lost:
+                events += self._contradict(course, slot, names[slot], t, literals)
         return events
 
-    def describe(self, slots: NDArray[np.intp], cut: NDArray[np.bool_]) -> tuple[tuple[Cut, ...], ...]:
-        """For each vehicle the predicates that acted, from (B, N, C)."""
-        described = []
-        for row in range(len(slots)):
+    def _speaks(self, course: Course, slots: Slots) -> NDArray[np.bool_]:
+        """Which vehicles take part in a scenario with their current trajectory."""
+        assigned = course.assigned[slots]
+        if course.scenario.time_zero is not None:
+            return assigned
+        self._began = with_room(self._began, int(slots.max(initial=-1)) + 1, self._began)
+        return np.asarray(assigned & (course.zero[slots] >= self._began[slots]))
+
+    def _see(self, course: Course, slots: Slots, samples: Block) -> list[tuple[int, int, tuple[int, ...]]]:
+        """Samples oldest first; (slot, stamp, literals) where a scenario was contradicted."""
+        lost: list[tuple[int, int, tuple[int, ...]]] = []
+        for column in range(samples.t.shape[1]):
+            rows = np.flatnonzero(samples.valid[:, column])
+            t, x = samples.t[rows, column], samples.x[rows, column]
+            status = partial(self._status_of_received, course, t, x, slots[rows])
+            for row in np.flatnonzero(course.see(slots[rows], t, status)).tolist():
+                slot = int(slots[rows[row]])
+                asked = course.asked(course.pursuits[ASSUME].before[[slot]])
+                false = asked[status(asked, np.array([row]))[0] < 0]
+                lost.append((slot, int(t[row]), tuple(false.tolist())))
+        return lost
+
+    def _status_of_received(
+        self, course: Course, t: Ints, x: Floats, slots: Slots, literals: Slots, rows: Slots
+    ) -> NDArray[np.int8]:
+        if self._received is None:
+            return np.zeros((len(rows), len(literals)), dtype=np.int8)
+        half = np.abs(self._received).sum(axis=1)
+        context = self._context(course, Instants(slots[rows], t[rows], x[rows] - half, x[rows] + half), 0)
+        generators = np.broadcast_to(self._received, (len(rows), *self._received.shape))
+        return self.literals.status(literals.tolist(), x[rows], generators, context)
+
+    def obligations(self, slots: Slots) -> tuple[Slots, NDArray[np.int64], NDArray[np.bool_]]:
+        """What the scenarios ask of vehicles (B,) from their newest sample on: row (R,) of ``slots``, ascending, and
+        obligation (R,), several where more than one may hold; and of which the newest sample may be cut (B,)."""
+        beliefs = np.full((len(slots), len(self._courses)), self.table.belief([TRUE]), dtype=np.int64)
+        tested = np.ones(len(slots), dtype=bool)
+        for column, course in enumerate(self._courses.values()):
+            course.grow(int(slots.max(initial=-1)) + 1)
+            acts = self._speaks(course, slots) & ~course.contradicted[slots] & course.started(slots)
+            beliefs[acts, column] = course.pursuits[ASSUME].before[slots[acts]]
+            tested &= ~acts | course.tested[slots]
+        cases, inverse = np.unique(beliefs, axis=0, return_inverse=True)
+        options = [self._joint(tuple(case)) for case in cases.tolist()]
+        counts = np.array([len(o) for o in options], dtype=np.intp)[inverse.ravel()]
+        rows = np.repeat(np.arange(len(slots)), counts)
+        found = [options[case] for case in inverse.ravel().tolist()]
+        return rows, np.array([o for part in found for o in part], dtype=np.int64), tested
+
+    def _joint(self, beliefs: tuple[int, ...]) -> tuple[int, ...]:
+        """Obligations of which one holds, given a belief about each scenario; none where nothing is asked."""
+        joint: tuple[int, ...] = (TRUE,)
+        for belief in beliefs:
+            members = self.table.members(belief)
+            joint = self.table.antichain([self.table.conjunction((a, b)) for a in joint for b in members])
+            weaker = self.table.cap(joint, MOST_BRANCHES)
+            joint = self.table.antichain([weaker[o] for o in joint])
+        return () if joint == (TRUE,) else joint
+
+    def contexts(self, instants: Instants, k: int, row: Slots) -> Contexts:
+        """What predicates refer to ``k`` steps after the instants, for sets of rows (R,) of them."""
+
+        def of(literal: int, rows: Slots) -> Context:
+            return self._context(self._courses[self.literals.scenario(literal)], take(instants, row[rows]), k)
+
+        return of
+
+    def _context(self, course: Course, instants: Instants, k: int) -> Context:
+        last = (instants.t - course.zero[instants.slots]) / 1e9
+        t = last + k * self._profile.sample_time_ns / 1e9
+        slack = float(course.slack[instants.slots].max(initial=0)) / 1e9
+        return Context(t, np.full(len(t), float(k)), last, instants.lower, instants.upper, slack)
+
+    def verdicts(self, instants: Instants, sets: Sequence[tuple[Array, Array]]) -> tuple[Mapping[str, str], ...]:
+        """For each vehicle (B,) what its requirements come to on sets of true states, (center, generators) at steps 1
+        to N; the requirement's name has the scenario's before it."""
+        found: list[dict[str, str]] = [{} for _ in instants.slots]
+        for name, course in self._courses.items():
+            rows = np.flatnonzero(self._speaks(course, instants.slots) & course.started(instants.slots))
+            for requirement in course.scenario.requirements if len(rows) else ():
+                holds, fails = (
+                    self._ahead(course, kind + requirement, instants, rows, sets) for kind in (HOLDS, FAILS)
+                )
+                settled = self.table.belief([TRUE])
+                for place, row in enumerate(rows.tolist()):
+                    found[row][f"{name}.{requirement}"] = verdict(holds[place], fails[place], settled, DEAD)
+        return tuple(found)
+
+    def _ahead(
+        self, course: Course, formula: str, instants: Instants, rows: Slots, sets: Sequence[tuple[Array, Array]]
+    ) -> list[list[int]]:
+        """Beliefs about a formula after steps 0 (the newest sample) to N."""
+        beliefs = course.pursuits[formula].after[instants.slots[rows]]
+        ahead = [beliefs]
+        for k, (center, generators) in enumerate(sets, 1):
+            literals = course.asked(beliefs)
+            false = np.zeros((len(rows), len(literals)), dtype=bool)
+            if len(literals) and self._received is not None:
+                context = self.contexts(instants, k, rows)(int(literals[0]), np.arange(len(rows)))
+                false = self.literals.status(literals.tolist(), center[rows], generators[rows], context) < 0
+            beliefs = course.go_on(beliefs, literals, false)
+            ahead.append(beliefs)
+        found: list[list[int]] = np.stack(ahead, axis=1).tolist()
+        return found
+
+    def contradict(self, slot: int, vehicle: str, t: int, literals: Sequence[int] | None) -> list[EngineEvent]:
+        """Stop cutting a vehicle by the scenarios of some literals that left nothing, or by all of its scenarios."""
+        events: list[EngineEvent] = []
+        owners = {self.literals.scenario(literal) for literal in literals or ()} or set(self._courses)
+        for name in sorted(owners):
+            course = self._courses[name]
+            own = tuple(o for o in literals or () if self.literals.scenario(o) == name)
+            events += self._contradict(course, slot, vehicle, t, own)
+        return events
+
+    def _contradict(
+        self, course: Course, slot: int, vehicle: str, t: int, literals: Sequence[int]
+    ) -> list[EngineEvent]:
+        if slot >= len(course.assigned) or not course.assigned[slot] or course.contradicted[slot]:
+            return []
+        course.contradicted[slot] = True
+        name = course.scenario.name
+        elapsed = (t - int(course.zero[slot])) / 1e9
+        predicates = ", ".join(dict.fromkeys(self.literals.name(literal) for literal in literals))
+        by = f" ({predicates})" if predicates else ""
+        message = f"scenario {name}{by} contradicts what was measured at {elapsed:.3f} s: it no longer cuts {vehicle}"
+        details = {"scenario": name, "predicate": predicates, "elapsed": elapsed}
+        return [EngineEvent(EventKind.CONTRADICTION, vehicle, t, message, details)]
+
+    def describe(self, acted: NDArray[np.bool_]) -> tuple[tuple[Cut, ...], ...]:
+        """For each vehicle the predicates that acted, from (B, N, L) over steps 1 to N."""
+        described: list[tuple[Cut, ...]] = []
+        for row in acted:
             ranges: dict[tuple[str, str], tuple[int, int]] = {}
-            for step, c in zip(*np.nonzero(cut[row]), strict=True):
-                key = (self.table.scenario[c], self.table.names[c])
-                first, last = ranges.get(key, (int(step) + 1, int(step) + 1))
-                ranges[key] = (min(first, int(step) + 1), max(last, int(step) + 1))
+            for step, literal in zip(*(a.tolist() for a in np.nonzero(row)), strict=True):
+                key = (self.literals.scenario(literal), self.literals.name(literal))
+                first, last = ranges.get(key, (step + 1, step + 1))
+                ranges[key] = (min(first, step + 1), max(last, step + 1))
             described.append(tuple(Cut(name, predicate, *span) for (name, predicate), span in ranges.items()))
         return tuple(described)

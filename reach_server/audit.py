@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag
+from reach_server.factor_sets import FactorSet
 from reach_server.regression import wrap
 from reach_server.rows import take
 from reach_server.sets import membership
 from reach_server.sets.arrays import stack_columns
-from reach_server.tube import FactorSet
 from reach_server.windows import Floats, Ints, SampleBatch
 
 

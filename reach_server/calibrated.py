@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
+from reach_server.factor_sets import FactorSet
 from reach_server.regression import (
     Layout,
     increments,
@@ -49,6 +50,29 @@ class Calibrated:
     scale: Floats
     half: Floats
     scores: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes:
+    """How calibrated sets go on: each step has a box of its own, ``center`` (V, N, n) and ``generators`` (V, N, n, n),
+    whatever cut the one before."""
+
+    center: Floats
+    generators: Floats
+
+    @property
+    def horizon(self) -> int:
+        """Steps N."""
+        steps: int = self.center.shape[1]
+        return steps
+
+    def begin(self, start: FactorSet, vehicle: NDArray[np.intp]) -> FactorSet:
+        """The sets (R) as they are."""
+        return start
+
+    def advance(self, sets: FactorSet, k: int, vehicle: NDArray[np.intp]) -> tuple[FactorSet, NDArray[np.bool_]]:
+        """The boxes (R) after step ``k`` of the vehicles (R,)."""
+        return FactorSet.zonotope(self.center[vehicle, k], self.generators[vehicle, k]), np.zeros(len(vehicle), bool)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

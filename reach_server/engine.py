@@ -1,5 +1,6 @@
 """One step for a batch of vehicles of a class: windows, models, tubes, audit. Arrays in, arrays out; no clock."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,18 +8,22 @@ from numpy.typing import NDArray
 
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import Audit, EventKind, Label, StateFlag, VehicleProfile
-from reach_server import audit, calibrated, model, results
-from reach_server.assignments import Assignments
+from reach_server import audit, calibrated, model
+from reach_server.assignments import Assignments, Instants
+from reach_server.factor_sets import FactorSet
+from reach_server.figures import PlaneStrips, of_tracks, smaller
 from reach_server.fitting import Models
 from reach_server.inputs import future_inputs, limits
-from reach_server.predicates import CutTable
+from reach_server.recursion import Recursion
 from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped, wrap
 from reach_server.results import EngineEvent, Tubes
 from reach_server.rows import take, with_room
-from reach_server.sets import planar, support
-from reach_server.tube import FactorSet, Tube, apply_cuts, propagate
+from reach_server.sets import support
+from reach_server.sets.arrays import stack_columns
+from reach_server.tube import Knowledge, Motion, Tracks, Tube, propagate
 from reach_server.windows import Appended, Block, Floats, SampleBatch, Window
 from side_info import Scenario
+from side_info.progression import TRUE
 
 METHODS = ("calibrated", "set_membership", "residual_hull", "paper")
 
@@ -41,6 +46,11 @@ class _Served:
     t: NDArray[np.int64]
     block: Block
     known: KnownInputs | None
+
+    def rows(self, rows: NDArray[np.intp]) -> "_Served":
+        """Those of some rows."""
+        known = None if self.known is None else take(self.known, rows)
+        return _Served(self.slots[rows], self.epoch[rows], self.seq[rows], self.t[rows], take(self.block, rows), known)
 
 
 class Engine:
@@ -79,7 +89,13 @@ class Engine:
         )  # fmt: skip
         self._slots: dict[str, int] = {}
         self._names: list[str] = []
-        self._assignments = Assignments(profile)
+        known = profile.noise.measurement is not None
+        if self.method == "calibrated":
+            # Calibrated sets speak about measured states.
+            noise = received = self.bounds.measurement if known else None
+        else:
+            noise, received = np.zeros((self.layout.n, 0)), self.bounds.measurement
+        self._assignments = Assignments(profile, noise, received, self.horizon)
         self._predictions = audit.Predictions()
         #: By slot: predictions checked and held, last miss, and whether a stated bound turned out to be wrong.
         self._checked = np.zeros(0, dtype=np.int64)
@@ -141,6 +157,10 @@ class Engine:
     def append(self, batch: SampleBatch) -> tuple[Appended, tuple[EngineEvent, ...]]:
         """Store samples without computing tubes; checks the predictions that waited for them."""
         events = self._check(batch)
+        recorded = batch.flags & int(StateFlag.HISTORY) != 0
+        begins = ~recorded & ((batch.flags & int(StateFlag.NEW_TRAJECTORY) != 0) | (batch.seq == 0))
+        if begins.any():
+            self._assignments.began(batch.vehicle[begins], batch.t[begins])
         appended = self.window.append(batch)
         self._models.count(batch.vehicle)
         return appended, tuple(events)
@@ -156,24 +176,28 @@ class Engine:
 
     def predict(self, slots: NDArray[np.intp], known: KnownInputs | None = None) -> Tubes:
         """Tubes from the newest samples of some slots (ascending); ``known`` has one row per slot."""
+        events = self._receive(slots)
         self._models.refit(self.window, slots)
         served, waiting = self._serve(slots, known)
-        if not len(served.slots):
-            return self._no_tubes(waiting)
-        times = served.t[:, None] + np.arange(1, self.horizon + 1) * self.profile.sample_time_ns
-        active = self._assignments.active(served.slots, np.concatenate([served.t[:, None], times], axis=1))
-        cut_rows = np.flatnonzero(active.any(axis=(1, 2)))
-        tube = self._tube(served, active, cut_rows)
-        bounded = _bounded(tube, len(served.slots), cut_rows)
-        if not bounded.all():
+        while len(served.slots):
+            times = served.t[:, None] + np.arange(1, self.horizon + 1) * self.profile.sample_time_ns
+            tracks, motion, instants = self._tracks(served)
+            knowledge = self._knowledge(tracks, instants)
+            tube = propagate(tracks, motion, knowledge, self.layout.n)
+            bounded = _bounded(tube, tracks)
+            if bounded.all():
+                published = self._publish(served, times, tube, tracks, instants, waiting)
+                return replace(published, events=(*events, *published.events))
             for slot in served.slots[~bounded]:
                 waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
-            if not bounded.any():
-                return self._no_tubes(waiting)
-            kept = np.flatnonzero(np.isin(slots, served.slots[bounded]))
-            again = self.predict(slots[kept], None if known is None else take(known, kept))
-            return replace(again, waiting=again.waiting | waiting)
-        return self._publish(served, times, tube, cut_rows, waiting)
+            served = served.rows(np.flatnonzero(bounded))
+        return replace(self._no_tubes(waiting), events=tuple(events))
+
+    def _receive(self, slots: NDArray[np.intp]) -> list[EngineEvent]:
+        """Let the scenarios see what has been measured of some vehicles."""
+        held = slots[self.window.filled(slots) > 0]
+        newest = self.window.newest(held)[2]
+        return self._assignments.receive(held, self._names, newest, self.window.block) if len(held) else []
 
     def _serve(self, slots: NDArray[np.intp], known: KnownInputs | None) -> tuple[_Served, dict[str, str]]:
         """The vehicles that can be served now, and why the others cannot."""
@@ -209,13 +233,29 @@ class Engine:
             known &= block.input_known[:, -self.layout.lags - 1 : -1].all(axis=1)
         return known
 
-    def _tube(self, served: _Served, active: NDArray[np.bool_], cut_rows: NDArray[np.intp]) -> Tube:
-        """Tubes without cuts for all rows, then with cuts for ``cut_rows``, in one batch."""
-        both = np.concatenate([np.arange(len(served.slots)), cut_rows])
-        masks = np.concatenate([np.zeros_like(active), active[cut_rows]])
+    def _tracks(self, served: _Served) -> tuple[Tracks, Motion, Instants]:
+        """A tube without side information for each vehicle, and one with it where a scenario asks for something."""
+        count = len(served.slots)
+        row, obligation, tested = self._assignments.obligations(served.slots)
+        with_side = np.unique(row)
+        vehicle = np.concatenate([np.arange(count), with_side])
+        track = np.concatenate([np.arange(count), count + np.searchsorted(with_side, row)])
+        asked = np.concatenate([np.full(count, TRUE, dtype=np.int64), obligation])
+        motion, start = self._calibrated_motion(served) if self.method == "calibrated" else self._recursion(served)
+        half = np.abs(self.bounds.measurement).sum(axis=1)
+        measured = start.center[:, : self.layout.n]
+        instants = Instants(served.slots, served.t, measured - half, measured + half)
+        return Tracks(vehicle, take(start, vehicle), track, asked, tested[vehicle], vehicle), motion, instants
+
+    def _knowledge(self, tracks: Tracks, instants: Instants) -> Knowledge:
+        side = self._assignments
+        return Knowledge(
+            side.table, side.literals, lambda k, track: side.contexts(instants, k, tracks.vehicle[track]),
+            self.profile.cuts, side.plane,
+        )  # fmt: skip
+
+    def _recursion(self, served: _Served) -> tuple[Recursion, FactorSet]:
         known = served.known
-        if self.method == "calibrated":
-            return self._calibrated_tube(served, masks, both)
         measurement = self.bounds.measurement
         models = self._models.of(served.slots)
         x = unwrapped(served.block, self.layout)[:, -1]
@@ -228,87 +268,76 @@ class Engine:
             self.profile, u[:, 1:], u[:, 0], served.block.input_known[:, -1], self.horizon,
             None if known is None else known.plan, None if known is None else known.tolerance,
         )  # fmt: skip
-        return propagate(
-            take(start, both), take(inputs, both), take(models, both), self.bounds.process,
-            self.layout, self._table, masks, cuts=self.profile.cuts, membership=self.method == "set_membership",
-        )  # fmt: skip
+        return Recursion(inputs, models, self.bounds.process, self.layout, self.method == "set_membership"), start
 
-    @property
-    def _table(self) -> CutTable:
-        """The cuts; for calibrated sets, which speak about measured states, widened by the measurement noise, so that
-        none cuts where its bound is not stated."""
-        table = self._assignments.table
-        if self.method != "calibrated":
-            return table
-        margin = np.full(table.count, np.inf)
-        if self.profile.noise.measurement is not None:
-            margin = np.abs(table.normal @ self.bounds.measurement).sum(axis=1)
-        return replace(table, lower=table.lower - margin, upper=table.upper + margin)
-
-    def _calibrated_tube(self, served: _Served, masks: NDArray[np.bool_], both: NDArray[np.intp]) -> Tube:
-        table, n = self._table, self.layout.n
+    def _calibrated_motion(self, served: _Served) -> tuple["calibrated.Boxes", FactorSet]:
         plan = served.known.plan if served.known is not None and self._planned else None
         center, generators, _ = calibrated.predict(
             self._models.of(served.slots), served.block, self.profile, self.layout, plan
         )
-        steps = [FactorSet.zonotope(served.block.x[both, -1], np.zeros((len(both), n, 0)))]
-        empty = np.zeros((len(both), self.horizon + 1, table.count), dtype=bool)
-        cut = np.zeros_like(empty)
-        for k in range(self.horizon):
-            box = FactorSet.zonotope(center[both, k], generators[both, k])
-            box, empty[:, k + 1], cut[:, k + 1] = apply_cuts(box, table, masks[:, k + 1], self.profile.cuts, n)
-            steps.append(box)
-        return Tube(steps, empty, cut, np.zeros(len(both), dtype=bool))
+        x = served.block.x[:, -1]
+        return calibrated.Boxes(center, generators), FactorSet.zonotope(x, np.zeros((*x.shape, 0)))
 
     def _publish(
-        self, served: _Served, times: NDArray[np.int64], tube: Tube, cut_rows: NDArray[np.intp], waiting: dict[str, str]
+        self,
+        served: _Served,
+        times: NDArray[np.int64],
+        tube: Tube,
+        tracks: Tracks,
+        instants: Instants,
+        waiting: dict[str, str],
     ) -> Tubes:
         """The result of a round; where cuts leave nothing, the sets without cuts and an event."""
         count = len(served.slots)
-        events = self._contradictions(served, tube, cut_rows)
-        sound = ~tube.empty[count:].any(axis=(1, 2))
-        source = np.arange(count)
-        source[cut_rows[sound]] = count + np.flatnonzero(sound)
-        cut = tube.cut[source, 1:]
-        steps = tuple(take(s, source) for s in tube.steps[1:])
-        free = tuple(take(s, slice(0, count)) for s in tube.steps[1:])
+        events = self._contradictions(served, tube, tracks)
+        chosen, sound = np.arange(count), tube.ended[count:] < 0
+        chosen[tracks.vehicle[count:][sound]] = count + np.flatnonzero(sound)
         plane = self.profile.position
-        figures = [results.figures(s, cut[:, k], self._table, plane) for k, s in enumerate(steps)]
-        area = np.stack([f.area for f in figures], axis=1)
-        free_area = area.copy()
-        for k, s in enumerate(free):
-            free_area[cut_rows, k] = planar.zonotope_area(s.generators[cut_rows][:, plane, :])
-        self._predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free[0])
+        strips = PlaneStrips.of(self._assignments.literals, self.layout.n, plane)
+        free = [of_tracks(step, np.arange(count), strips, plane) for step in tube.steps[1:]]
+        found = [of_tracks(step, chosen, strips, plane) for step in tube.steps[1:]]
+        if self.profile.cuts != "frobenius":
+            # The paper's cuts are shown as they are, larger or not.
+            found = [smaller(cut, whole) for cut, whole in zip(found, free, strict=True)]
+        steps, free_steps = tuple(s for s, _ in found), tuple(s for s, _ in free)
+        self._predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free_steps[0])
         slots = served.slots.tolist()
         deficient = self._models.rank_deficient(served.slots).tolist()
         contradicted = self._assignments.contradicted()
         return Tubes(
-            tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times, steps, free,
-            area, free_area, np.stack([f.outline for f in figures], axis=1),
-            np.stack([f.hull for f in figures], axis=1), tuple(self._label(slot) for slot in slots), self.method,
-            self._assignments.describe(served.slots, cut),
+            tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times, steps, free_steps,
+            np.stack([f.area for _, f in found], axis=1), np.stack([f.area for _, f in free], axis=1),
+            np.stack([f.outline() for _, f in found], axis=1), np.stack([f.hull for _, f in found], axis=1),
+            tuple(self._label(slot) for slot in slots), self.method,
+            self._assignments.describe(tube.acted[chosen, 1:]),
             tuple(
                 self._notes(rank_deficient=bad, contradicted=slot in contradicted)
                 for slot, bad in zip(slots, deficient, strict=True)
             ),
-            tuple(events), waiting,
+            self._verdicts(instants, steps), tuple(events), waiting,
         )  # fmt: skip
+
+    def _verdicts(self, instants: Instants, steps: tuple[FactorSet, ...]) -> tuple[Mapping[str, str], ...]:
+        """What the requirements come to on the sets, enlarged to hold true states where they speak about measured
+        ones."""
+        noise = self.bounds.measurement if self.method == "calibrated" else np.zeros((self.layout.n, 0))
+        return self._assignments.verdicts(instants, [(s.center, stack_columns(s.generators, noise)) for s in steps])
 
     def _no_tubes(self, waiting: dict[str, str]) -> Tubes:
         ids, times = np.zeros(0, dtype=np.uint64), np.zeros((0, self.horizon), dtype=np.int64)
         areas, sets = np.zeros((0, self.horizon)), np.zeros((0, self.horizon, 2, self.layout.n))
         return Tubes(
-            (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), self.method, (), (), (), waiting
+            (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), self.method, (), (), (), (), waiting
         )
 
-    def _contradictions(self, served: _Served, tube: Tube, cut_rows: NDArray[np.intp]) -> list[EngineEvent]:
+    def _contradictions(self, served: _Served, tube: Tube, tracks: Tracks) -> list[EngineEvent]:
         """Events where cuts left nothing, and where the data excludes the stated bounds."""
         events: list[EngineEvent] = []
         count = len(served.slots)
-        for row, empty in zip(cut_rows.tolist(), tube.empty[count:], strict=True):
-            if empty.any():
-                slot = int(served.slots[row])
-                events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), empty)
+        for track in np.flatnonzero(tube.ended >= 0).tolist():
+            row = int(tracks.vehicle[track])
+            slot, literals = int(served.slots[row]), np.flatnonzero(tube.blamed[track]).tolist()
+            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals)
         for row in np.flatnonzero(tube.contradicted[:count]).tolist():
             slot = int(served.slots[row])
             if not self._falsified[slot]:
@@ -363,11 +392,10 @@ class Engine:
         return tuple(notes)
 
 
-def _bounded(tube: Tube, count: int, cut_rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Which of the first ``count`` vehicles have finite sets only, with cuts and without."""
-    finite = np.ones(len(tube.contradicted), dtype=bool)
-    for sets in tube.steps:
-        finite &= np.isfinite(sets.center).all(axis=1) & np.isfinite(sets.generators).all(axis=(1, 2))
-    bounded = finite[:count].copy()
-    np.logical_and.at(bounded, cut_rows, finite[count:])
+def _bounded(tube: Tube, tracks: Tracks) -> NDArray[np.bool_]:
+    """Which vehicles (B,) have finite sets only, with cuts and without."""
+    bounded = np.ones(int(tracks.vehicle.max()) + 1, dtype=bool)
+    for step in tube.steps:
+        finite = np.isfinite(step.sets.center).all(axis=1) & np.isfinite(step.sets.generators).all(axis=(1, 2))
+        np.logical_and.at(bounded, tracks.vehicle[step.track], finite)
     return bounded

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
-from reach_server.tube import InputSets
+from reach_server.recursion import InputSets
 from reach_server.windows import Floats
 
 

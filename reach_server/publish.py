@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fleet_bus.messages import Audit, ReachTube
-from reach_server import results
+from reach_server import figures
 from reach_server.results import Tubes
 from reach_server.windows import Floats
 
@@ -24,13 +24,14 @@ def messages(
     if not tubes.vehicles:
         return
     center = np.stack([s.center for s in tubes.steps], axis=1)
-    generators = np.stack([outward_generators(results.enclosing(s)) for s in tubes.steps], axis=1)
+    generators = np.stack([outward_generators(figures.enclosing(s)) for s in tubes.steps], axis=1)
     hull = outward_box(tubes.hull)
     for i, vehicle in enumerate(tubes.vehicles):
         yield ReachTube(
             vehicle, int(tubes.epoch[i]), int(tubes.seq[i]), int(tubes.t[i]), tubes.times[i], state_names, plane,
             tubes.method, tubes.labels[i], center[i], generators[i], hull[i], tubes.outline[i], tubes.area[i],
-            tubes.area_free[i], tubes.cuts[i], tubes.notes[i], {}, audits[i], server, server_epoch, compute_seconds,
+            tubes.area_free[i], tubes.cuts[i], tubes.notes[i], tubes.verdicts[i], audits[i], server,
+            server_epoch, compute_seconds,
         )  # fmt: skip
 
 

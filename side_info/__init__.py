@@ -5,10 +5,21 @@
 
 from fleet_bus.errors import ScenarioError
 from side_info.declarations import Declarations
-from side_info.formula import Always, And, Atom, Comparison, Formula, Region
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
-from side_info.scenario import Scenario, shipped
-from side_info.windows import TimedPredicate
+from side_info.formula import (
+    Always,
+    And,
+    Atom,
+    Comparison,
+    Eventually,
+    Formula,
+    Implies,
+    Not,
+    Or,
+    Region,
+    Until,
+)
+from side_info.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
+from side_info.scenario import Requirement, Scenario, shipped
 
 __all__ = [
     "Always",
@@ -17,12 +28,18 @@ __all__ = [
     "Comparison",
     "Declarations",
     "DiscPredicate",
+    "Eventually",
     "Formula",
+    "Implies",
     "LinearPredicate",
+    "NonlinearPredicate",
+    "Not",
+    "Or",
     "Predicate",
     "Region",
+    "Requirement",
     "Scenario",
     "ScenarioError",
-    "TimedPredicate",
+    "Until",
     "shipped",
 ]

@@ -4,17 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-#: Functions with a meaning in this version, and those that the language has but this version does not.
-FUNCTIONS: Final = ("abs", "norm", "sumsqr")
-LATER_FUNCTIONS: Final = (
-    "sqrt", "exp", "log", "sin", "cos", "tan", "atan2", "hypot", "min", "max",
-)  # fmt: skip
+#: Functions, with the least and the largest number of their arguments (None: any).
+FUNCTIONS: Final[Mapping[str, tuple[int, int | None]]] = {
+    "abs": (1, 1), "sqrt": (1, 1), "exp": (1, 1), "log": (1, 1), "sin": (1, 1), "cos": (1, 1), "tan": (1, 1),
+    "atan2": (2, 2), "hypot": (1, None), "norm": (1, None), "sumsqr": (1, None), "min": (1, None), "max": (1, None),
+}  # fmt: skip
 
 #: Words of the language: none of them can be the name of a state, region or parameter.
 RESERVED: Final = frozenset(
     {
         "always", "globally", "alw", "G", "eventually", "finally", "ev", "F", "until", "U",
-        "and", "or", "not", "implies", "in", *FUNCTIONS, *LATER_FUNCTIONS,
+        "and", "or", "not", "implies", "in", "t", "k", "last", *FUNCTIONS,
     }
 )  # fmt: skip
 

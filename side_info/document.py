@@ -38,12 +38,6 @@ def _zero(value: object) -> int | None:
     raise ValueError("expected on_start or an RFC 3339 instant such as 2026-05-01T12:00:00Z")
 
 
-def _sampled(value: object) -> object:
-    if value == "continuous":
-        raise ValueError("'continuous' is not supported in this version: expected sampled")
-    return value
-
-
 def _as_text(value: object) -> object:
     return {"text": value} if isinstance(value, str) else value
 
@@ -53,10 +47,21 @@ class _Part(BaseModel):
 
 
 class TimeFields(_Part):
-    """``zero`` is nanoseconds since the Unix epoch, or None: each vehicle's start."""
+    """Time zero, what times the formulas speak about, and how fast states change in between."""
 
-    zero: Annotated[int | None, BeforeValidator(_zero)]
-    semantics: Annotated[Literal["sampled"], BeforeValidator(_sampled)] = "sampled"
+    # Read, ``zero`` is nanoseconds since the Unix epoch, or None: each vehicle's start.
+    zero: Annotated[
+        int | None,
+        BeforeValidator(_zero, json_schema_input_type=str),
+        Field(description="on_start (each vehicle's own), or an RFC 3339 instant"),
+    ]
+    semantics: Annotated[
+        Literal["sampled", "continuous"], Field(description="whether formulas speak about samples or about real time")
+    ] = "sampled"
+    speed: Annotated[
+        dict[Name, Annotated[float, Field(ge=0)]],
+        Field(description="bounds of the rates of change, unit of the state per second; needed by continuous"),
+    ] = Field(default_factory=dict)
 
 
 class DiscFields(_Part):
@@ -83,14 +88,21 @@ class RegionFields(_Part):
 class ScenarioFields(_Part):
     """A scenario document, field by field."""
 
-    scenario: Annotated[str, Field(pattern=f"^{ID_PATTERN.pattern}$")]
+    scenario: Annotated[str, Field(pattern=f"^{ID_PATTERN.pattern}$", description="id of the scenario")]
     version: Annotated[int, Field(ge=1)]
-    state: Annotated[dict[Name, Annotated[str, Field(max_length=16)]], Field(min_length=1, max_length=32)]
+    state: Annotated[
+        dict[Name, Annotated[str, Field(max_length=16)]],
+        Field(min_length=1, max_length=32, description="unit of each state that formulas name"),
+    ]
     time: TimeFields
-    parameters: dict[Name, Annotated[float, BeforeValidator(seconds)]] = Field(default_factory=dict)
-    regions: dict[Name, Annotated[RegionFields, BeforeValidator(_as_text)]] = Field(default_factory=dict)
-    assume: str
-    monitor: dict[Name, str] = Field(default_factory=dict)
+    parameters: dict[Name, Annotated[float, BeforeValidator(seconds, json_schema_input_type=float | str)]] = Field(
+        default_factory=dict, description="numbers, and durations such as 25 s, 250 ms or 2 min"
+    )
+    regions: dict[
+        Name, Annotated[RegionFields, BeforeValidator(_as_text, json_schema_input_type=RegionFields | str)]
+    ] = Field(default_factory=dict, description="sets of states; the text of one may name those above it")
+    assume: Annotated[str, Field(description="side information: a formula that is taken as true")]
+    monitor: dict[Name, str] = Field(default_factory=dict, description="requirements: formulas that get a verdict")
 
 
 def read_fields(document: YamlText) -> ScenarioFields:

@@ -1,15 +1,8 @@
 """Arithmetic over declared names: syntax tree and text."""
 
-import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Final
-
-from lark import Token
-
-from fleet_bus.errors import ScenarioError
-from side_info.declarations import FUNCTIONS, LATER_FUNCTIONS, Declarations
-from side_info.parser import Branch, start_of
-from side_info.places import Excerpt
 
 # How tightly each kind binds; an operand that binds less tightly than its place allows gets parentheses.
 _SUM: Final = 1
@@ -83,8 +76,26 @@ class Power(Expression):
 
 
 @dataclass(frozen=True, slots=True)
+class Time(Expression):
+    """``t``: seconds since the scenario's time zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps(Expression):
+    """``k``: how many samples ahead of the last received one the state is, 0 for a received state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Last(Expression):
+    """``last(x)``: the state ``x`` as it was at the last received sample; ``last(t)``: when that was."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class Call(Expression):
-    """One of ``abs`` (one argument), ``norm`` and ``sumsqr`` (Euclidean norm and its square, one or more)."""
+    """One of ``FUNCTIONS``: ``abs sqrt exp log sin cos tan`` (one argument), ``atan2`` (two), ``hypot norm sumsqr``
+    (Euclidean norm, and its square; one or more), ``min max`` (one or more)."""
 
     function: str
     arguments: tuple[Expression, ...]
@@ -93,74 +104,6 @@ class Call(Expression):
 def number_text(value: float) -> str:
     """Shortest text that reads back as ``value``."""
     return repr(value).removesuffix(".0")
-
-
-def build_expression(branch: Branch, excerpt: Excerpt, declared: Declarations) -> Expression:
-    """Expression of a branch of the syntax tree; raise ``ScenarioError`` if it is none over ``declared``."""
-    at = start_of(branch)
-    if isinstance(branch, Token):
-        return _number(branch, excerpt) if branch.type == "NUMBER" else _name(branch, excerpt, declared)
-    if branch.data == "call":
-        return _call(branch.children, excerpt, declared)
-    if branch.data not in ("sum", "product", "negation", "reciprocal", "power"):
-        raise excerpt.error(at, "a number is expected, a formula came")
-    operands = tuple(build_expression(child, excerpt, declared) for child in branch.children)
-    match branch.data:
-        case "sum":
-            return Sum(operands, at=at)
-        case "product":
-            return Product(operands, at=at)
-        case "negation":
-            return Negation(*operands, at=at)
-        case "reciprocal":
-            return Reciprocal(*operands, at=at)
-        case _:
-            return Power(*operands, at=at)
-
-
-def read_number(token: Token, excerpt: Excerpt) -> float:
-    """Value of a number; raise ``ScenarioError`` if it is not finite or too small to be told from zero."""
-    value = float(token)
-    if math.isinf(value) or (value == 0.0 and token.lower().split("e")[0].strip("0.")):
-        raise excerpt.error(start_of(token), f"{token:.40} is not a number of double precision: expected a finite one")
-    return value
-
-
-def undeclared(token: Token, excerpt: Excerpt, declared: Declarations) -> ScenarioError:
-    """Error about a name that is not declared."""
-    return excerpt.error(start_of(token), f"{token[:40]!r} is not declared: declared are {declared.describe()}")
-
-
-def _number(token: Token, excerpt: Excerpt) -> Number:
-    return Number(read_number(token, excerpt), at=start_of(token))
-
-
-def _name(token: Token, excerpt: Excerpt, declared: Declarations) -> Expression:
-    at = start_of(token)
-    if token in declared.states:
-        return Name(str(token), at=at)
-    if token in declared.parameters:
-        value = declared.parameters[token]
-        number = Number(abs(value), at=at)
-        return Negation(number, at=at) if value < 0 else number
-    if token in declared.regions:
-        raise excerpt.error(at, f"a number is expected, {str(token)!r} is a region")
-    raise undeclared(token, excerpt, declared)
-
-
-def _call(children: list[Branch], excerpt: Excerpt, declared: Declarations) -> Call:
-    function, *arguments = children
-    at = start_of(function)
-    if function in LATER_FUNCTIONS:
-        raise excerpt.error(at, f"the function {function} is not supported in this version: use {', '.join(FUNCTIONS)}")
-    if function == "in":
-        raise excerpt.error(at, "a number is expected, in(…) is a formula")
-    if function not in FUNCTIONS:
-        raise excerpt.error(at, f"unknown function {str(function)[:40]!r}: expected one of {', '.join(FUNCTIONS)}")
-    if function == "abs" and len(arguments) != 1:
-        raise excerpt.error(start_of(arguments[1]), f"abs takes one argument, {len(arguments)} came")
-    built = tuple(build_expression(argument, excerpt, declared) for argument in arguments)
-    return Call(str(function), built, at=at)
 
 
 def _print(expression: Expression, least: int) -> str:
@@ -174,6 +117,12 @@ def _text(expression: Expression) -> tuple[int, str]:
             return _OPERAND, number_text(value)
         case Name(name):
             return _OPERAND, name
+        case Time():
+            return _OPERAND, "t"
+        case Steps():
+            return _OPERAND, "k"
+        case Last(name):
+            return _OPERAND, f"last({name})"
         case Call(function, arguments):
             return _OPERAND, f"{function}({', '.join(str(argument) for argument in arguments)})"
         case Power(base, exponent):
@@ -186,7 +135,7 @@ def _text(expression: Expression) -> tuple[int, str]:
             return _PRODUCT, _print(factors[0], _SIGN) + "".join(map(_factor, factors[1:]))
         case Sum(terms):
             return _SUM, _print(terms[0], _PRODUCT) + "".join(map(_term, terms[1:]))
-    raise TypeError(f"{type(expression).__name__} is no expression of this version")
+    raise TypeError(f"{type(expression).__name__} is no kind of expression")
 
 
 def _factor(factor: Expression) -> str:
@@ -199,3 +148,56 @@ def _term(term: Expression) -> str:
     if isinstance(term, Negation):
         return f" - {_print(term.operand, _PRODUCT)}"
     return f" + {_print(term, _PRODUCT)}"
+
+
+def parts_of(expression: Expression) -> tuple[Expression, ...]:
+    """Operands of an expression, from left to right; none of a number or name."""
+    match expression:
+        case Sum(parts) | Product(parts) | Call(_, parts):
+            return parts
+        case Negation(operand) | Reciprocal(operand):
+            return (operand,)
+        case Power(base, exponent):
+            return (base, exponent)
+    return ()
+
+
+def with_parts(expression: Expression, parts: tuple[Expression, ...]) -> Expression:
+    """The expression with other operands, as many as ``parts_of`` gives."""
+    match expression:
+        case Sum():
+            return replace(expression, terms=parts)
+        case Product():
+            return replace(expression, factors=parts)
+        case Call():
+            return replace(expression, arguments=parts)
+        case Negation() | Reciprocal():
+            return replace(expression, operand=parts[0])
+        case Power():
+            return replace(expression, base=parts[0], exponent=parts[1])
+    return expression
+
+
+def nodes_of(expression: Expression) -> Iterator[Expression]:
+    """The expression and all that it is made of, each before its operands."""
+    yield expression
+    for part in parts_of(expression):
+        yield from nodes_of(part)
+
+
+def substituted(expression: Expression, old: Expression, new: Expression) -> Expression:
+    """The expression with ``new`` wherever it has ``old``."""
+    if expression == old:
+        return new
+    parts = parts_of(expression)
+    return with_parts(expression, tuple(substituted(part, old, new) for part in parts)) if parts else expression
+
+
+def names_of(expression: Expression) -> frozenset[str]:
+    """Names of the states in an expression, without those inside ``last``."""
+    return frozenset(node.name for node in nodes_of(expression) if isinstance(node, Name))
+
+
+def is_number(expression: Expression) -> bool:
+    """Whether the expression has one value, whatever the state and the time are."""
+    return not any(isinstance(node, Name | Time | Steps | Last) for node in nodes_of(expression))

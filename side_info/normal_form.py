@@ -1,223 +1,239 @@
-"""A comparison to its normal form: the exact set of states that satisfy it, or a refusal by name.
+"""Formulas to normal form over one numbering of predicates.
 
-Expressions are brought into ``constant + sum of coefficient * symbol`` in rational arithmetic, where a symbol
-is a state or a call (``abs``, ``norm``, ``sumsqr``). Numbers mean the decimals that were written; only the
-finished bounds and coefficients are rounded, to the nearest double.
+The normal form of a formula is implied by it, and equal to it but for closures: ``<`` means ``<=``, and what negates a
+predicate is the closure of its complement. Negations are pushed down to the comparisons, with the closed until
+
+    p until[a:b] q  =  some time t1 in [a, b] has q, and p holds from now up to and including t1
+
+whose negation needs a case distinction: p fails by a; or q fails on all of [a, b]; or p first fails at some time t of
+[a, b], and q fails from a until then. With ``p' = not p``, ``q' = not q`` that is
+
+    eventually[0:a](p')  or  always[a:b](q')  or  (eventually[a:b](p') and always[a:a]((q' or p') until[0:b-a] p'))
+
+where the until may ask for ``q' or p'`` at the witness, since p' holds there. With a = 0 the second and the until say
+it all. On a grid of samples that has none at a, ``always[a:a]`` says nothing (outer).
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-from side_info.expression import Call, Expression, Name, Negation, Number, Power, Product, Reciprocal, Sum
-from side_info.formula import Comparison
+from side_info.connectives import FALSE, TRUE, conjunction, disjunction, operands_of, size_of
+from side_info.expression import Negation, Sum, names_of
+from side_info.formula import Always, And, Comparison, Eventually, Formula, Implies, Not, Or, Region, Until
+from side_info.inequality import Atom, Budget, not_negative
+from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal, Normal, reach_ns
+from side_info.normal import Until as NormalUntil
 from side_info.places import Excerpt
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
+from side_info.predicates import LinearPredicate, Predicate
+from side_info.windows import MAX_SECONDS, window_ns
 
-# A power of a power of a power would fill the memory with digits.
-_MAX_BITS: Final = 20_000
+#: Predicates that the formulas of one scenario may come to.
+MAX_PREDICATES: Final = 256
 
-_SQUARE_HINT: Final = "; write a disc as sumsqr(x - a, y - b) <= r^2"
+#: Literals, constants and operators of one normal form.
+MAX_SIZE: Final = 4096
 
-
-@dataclass(frozen=True, slots=True)
-class _Affine:
-    """``constant + sum of coefficients[s] * s``, no coefficient zero."""
-
-    constant: Fraction
-    coefficients: Mapping[str | Call, Fraction]
-
-    def plus(self, other: "_Affine") -> "_Affine":
-        sums = dict(self.coefficients)
-        for symbol, coefficient in other.coefficients.items():
-            sums[symbol] = sums.get(symbol, Fraction(0)) + coefficient
-        return _Affine(self.constant + other.constant, {symbol: c for symbol, c in sums.items() if c})
-
-    def times(self, factor: Fraction) -> "_Affine":
-        scaled = {symbol: factor * c for symbol, c in self.coefficients.items() if factor}
-        return _Affine(factor * self.constant, scaled)
+_NAME_LENGTH: Final = 80
 
 
-def normal_form(comparison: Comparison, excerpt: Excerpt) -> tuple[Predicate, ...]:
-    """Predicates that together mean the comparison: exactly, but for ``<`` taken as ``<=`` (outer).
+@dataclass(slots=True)
+class NormalForms:
+    """Predicates by number, and the regions; both grow. Formulas may name the regions that were added before."""
 
-    ``a <= affine <= b`` and ``abs(affine) <= r`` give one strip, ``norm(…) <= r`` and ``sumsqr(…) <= r^2``
-    over two states one disc. Each predicate is named by its text.
-    Raises ``ScenarioError`` at the place of what has no normal form or can never hold.
-    """
-    parts: list[Predicate] = []
-    for left, sign, right in zip(comparison.operands, comparison.operators, comparison.operands[1:], strict=False):
-        low, high = (left, right) if sign[0] == "<" else (right, left)
-        difference = _affine(high, excerpt).plus(_affine(low, excerpt).times(Fraction(-1)))
-        parts.append(_not_negative(difference, f"{left} {sign} {right}", left.at, excerpt))
-    strip = _merged(parts, comparison, excerpt)
-    return tuple(parts) if strip is None else (strip,)
+    _numbers: dict[Predicate, int] = field(default_factory=dict)
+    _names: list[str] = field(default_factory=list)
+    _regions: dict[str, tuple[Formula, Excerpt]] = field(default_factory=dict)
+    _known: dict[tuple[str, bool], Normal] = field(default_factory=dict)
+    budget: Budget = field(default_factory=Budget)
 
+    def add_region(self, name: str, formula: Formula, excerpt: Excerpt, axes: tuple[str, ...] = ()) -> None:
+        """Add a region without temporal operators; its predicates are named by it, and by ``axes`` or counted.
 
-def _merged(parts: list[Predicate], comparison: Comparison, excerpt: Excerpt) -> LinearPredicate | None:
-    """One strip that means all of the parts, if they are parallel."""
-    linear = [part for part in parts if isinstance(part, LinearPredicate)]
-    if len(linear) < max(2, len(parts)) or any(p.coefficients != linear[0].coefficients for p in linear):
-        return None
-    lower, upper = max(part.lower for part in linear), min(part.upper for part in linear)
-    if lower > upper:
-        raise excerpt.error(comparison.at, f"can never hold: {lower:g} > {upper:g}")
-    return LinearPredicate(str(comparison), linear[0].coefficients, lower, upper)
+        Raises ``ScenarioError`` as ``of`` does.
+        """
+        self._regions[name] = (formula, excerpt)
+        before = len(self._names)
+        normal = self._known[name, True] = self.of(formula, excerpt)
+        literals = list(dict.fromkeys(literals_in(normal)))
+        for place, number in enumerate(literals):
+            if number >= before:
+                suffix = axes[place] if axes else str(place + 1)
+                self._names[number] = name if len(literals) == 1 and not axes else f"{name}.{suffix}"
 
+    def of(self, formula: Formula, excerpt: Excerpt, *, holds: bool = True) -> Normal:
+        """Normal form of a formula, or of its negation.
 
-def _affine(expression: Expression, excerpt: Excerpt) -> _Affine:
-    match expression:
-        case Number(value):
-            return _Affine(Fraction(repr(value)), {})
-        case Name(name):
-            return _Affine(Fraction(0), {name: Fraction(1)})
-        case Negation(operand):
-            return _affine(operand, excerpt).times(Fraction(-1))
-        case Sum(terms):
-            total = _Affine(Fraction(0), {})
-            for term in terms:
-                total = total.plus(_affine(term, excerpt))
-            return total
-        case Product(factors):
-            product = _Affine(Fraction(1), {})
-            for factor in factors:
-                product = _product(product, _affine(factor, excerpt), factor, excerpt)
-            return product
-        case Reciprocal(operand):
-            divisor = _constant(operand, "a divisor", excerpt)
-            if not divisor:
-                raise excerpt.error(operand.at, "division by zero")
-            return _Affine(1 / divisor, {})
-        case Power(base, exponent):
-            return _power(base, exponent, excerpt)
-        case Call("abs", (argument,)):
-            inner = _affine(argument, excerpt)
-            if not inner.coefficients:
-                return _Affine(abs(inner.constant), {})
-            return _Affine(Fraction(0), {expression: Fraction(1)})
-        case Call():
-            return _Affine(Fraction(0), {expression: Fraction(1)})
-    raise TypeError(f"{type(expression).__name__} is no expression of this version")
+        Raises ``ScenarioError`` for a comparison that can never hold, numbers that are none, and formulas that come to
+        too much.
+        """
+        normal = _Reader(self, excerpt).read(formula, holds)
+        if reach_ns(normal) > MAX_SECONDS * 1e9:
+            raise excerpt.error(formula.at, f"its windows reach more than {MAX_SECONDS:g} s into the future")
+        return normal
 
+    def region(self, name: str, *, holds: bool = True) -> Normal:
+        """Normal form of a region, or of its complement."""
+        if (name, holds) not in self._known:
+            before = len(self._names)
+            self._known[name, holds] = self.of(*self._regions[name], holds=holds)
+            for number in range(before, len(self._names)):
+                self._names[number] = f"not {name}"
+        return self._known[name, holds]
 
-def _product(left: _Affine, right: _Affine, factor: Expression, excerpt: Excerpt) -> _Affine:
-    if not right.coefficients:
-        return left.times(right.constant)
-    if not left.coefficients:
-        return right.times(left.constant)
-    names = ", ".join(str(symbol) for symbol in (*left.coefficients, *right.coefficients))
-    raise excerpt.error(factor.at, f"a product of states ({names:.60}) is not supported in this version{_SQUARE_HINT}")
+    def predicates(self) -> tuple[Predicate, ...]:
+        """The predicates by number, each with a name of its own."""
+        names = [_shortened(name) for name in self._names]
+        unique = [
+            name if names.count(name) == 1 else f"{name}#{names[: place + 1].count(name)}"
+            for place, name in enumerate(names)
+        ]
+        return tuple(replace(predicate, name=name) for predicate, name in zip(self._numbers, unique, strict=True))
+
+    def number(self, predicate: Predicate, name: str) -> Literal | None:
+        """The literal of a predicate, named so if it is new; None if there are too many."""
+        if predicate not in self._numbers:
+            if len(self._numbers) >= MAX_PREDICATES:
+                return None
+            self._numbers[predicate] = len(self._numbers)
+            self._names.append(name)
+        return Literal(self._numbers[predicate])
 
 
-def _power(base: Expression, exponent: Expression, excerpt: Excerpt) -> _Affine:
-    power = _constant(exponent, "an exponent", excerpt)
-    affine = _affine(base, excerpt)
-    if affine.coefficients:
-        if power == 1:
-            return affine
-        raise excerpt.error(
-            base.at, f"a power of a state ({base!s:.60}) is not supported in this version{_SQUARE_HINT}"
-        )
-    value = affine.constant
-    bits = max(value.numerator.bit_length(), value.denominator.bit_length())
-    if power.denominator != 1 or bits * abs(power) > _MAX_BITS:
-        raise excerpt.error(exponent.at, "an exponent must be a whole number, and the power of moderate size")
-    if not value and power < 0:
-        raise excerpt.error(base.at, "division by zero")
-    return _Affine(value ** int(power), {})
+def literals_in(formula: Normal) -> Iterator[int]:
+    """Numbers of the predicates of a normal formula, from left to right."""
+    if isinstance(formula, Literal):
+        yield formula.predicate
+    for operand in operands_of(formula):
+        yield from literals_in(operand)
 
 
-def _constant(expression: Expression, what: str, excerpt: Excerpt) -> Fraction:
-    affine = _affine(expression, excerpt)
-    if affine.coefficients:
-        raise excerpt.error(
-            expression.at,
-            f"{what} must be a number, {str(expression)[:60]!r} is not: not supported in this version",
-        )
-    return affine.constant
+@dataclass(slots=True)
+class _Reader:
+    """One formula; ``left`` is how much larger its normal form may become."""
 
+    forms: NormalForms
+    excerpt: Excerpt
+    left: int = MAX_SIZE
 
-def _not_negative(form: _Affine, name: str, at: int, excerpt: Excerpt) -> Predicate:
-    """Predicate that means ``form >= 0``."""
-    calls = [symbol for symbol in form.coefficients if isinstance(symbol, Call)]
-    if not form.coefficients:
-        raise excerpt.error(at, f"{name:.60} compares no state: expected a state on one side")
-    if not calls:
-        return _linear(name, form, Fraction(0), None, at, excerpt)
-    if len(form.coefficients) > 1:
-        mixed = ", ".join(str(symbol) for symbol in form.coefficients)
-        raise excerpt.error(at, f"{mixed:.80} together in one comparison are not supported in this version")
-    call, coefficient = calls[0], form.coefficients[calls[0]]
-    if coefficient > 0:
-        raise excerpt.error(at, f"{call!s:.60} bounded from below means 'or', which is not supported in this version")
-    limit = form.constant / -coefficient
-    if limit < 0:
-        raise excerpt.error(at, f"can never hold: {call!s:.60} is not negative")
-    return _bounded_call(name, call, limit, at, excerpt)
+    def read(self, formula: Formula, holds: bool) -> Normal:
+        """Normal form of the formula where ``holds``, else of its negation."""
+        self._spend(1, formula)
+        match formula:
+            case Not(operand):
+                return self.read(operand, not holds)
+            case And(operands) | Or(operands):
+                parts = [self.read(operand, holds) for operand in operands]
+                return conjunction(parts) if isinstance(formula, And) == holds else disjunction(parts)
+            case Implies(left, right):
+                parts = [self.read(left, not holds), self.read(right, holds)]
+                return disjunction(parts) if holds else conjunction(parts)
+            case Always(start, end, operand):
+                window = window_ns(start, end)
+                return (globally if holds else finally_)(*window, self.read(operand, holds))
+            case Eventually(start, end, operand):
+                window = window_ns(start, end)
+                return (finally_ if holds else globally)(*window, self.read(operand, holds))
+            case Until(start, end, left, right):
+                return self._until(formula, self.read(left, holds), self.read(right, holds), holds)
+            case Region(name):
+                region = self.forms.region(name, holds=holds)
+                self._spend(size_of(region), formula)
+                return region
+            case Comparison():
+                return self._comparison(formula) if holds else self._negated(formula)
+        raise TypeError(f"{type(formula).__name__} is no kind of formula")
 
-
-def _bounded_call(name: str, call: Call, limit: Fraction, at: int, excerpt: Excerpt) -> Predicate:
-    """Predicate that means ``call <= limit``."""
-    arguments = [_affine(argument, excerpt) for argument in call.arguments]
-    for form, argument in zip(arguments, call.arguments, strict=True):
-        if not form.coefficients or any(isinstance(symbol, Call) for symbol in form.coefficients):
-            raise excerpt.error(
-                argument.at,
-                f"{str(argument)[:60]!r} in {call.function} is not affine in the states: not supported in this version",
+    def _until(self, formula: Until, left: Normal, right: Normal, holds: bool) -> Normal:
+        start, end = window_ns(formula.start, formula.end)
+        if holds:
+            return FALSE if right == FALSE else NormalUntil(start, end, left, right)
+        self._spend(3 * size_of(left) + size_of(right), formula)
+        first = NormalUntil(0, end - start, disjunction((right, left)), left)
+        if start == 0:
+            return disjunction((globally(0, end, right), first))
+        return disjunction(
+            (
+                finally_(0, start, left),
+                globally(start, end, right),
+                conjunction((finally_(start, end, left), globally(start, start, first))),
             )
-    if len(arguments) == 1:
-        if call.function == "sumsqr":
-            limit = _root(limit)
-        return _linear(name, arguments[0], -limit, limit, at, excerpt)
-    scales = {abs(c) for form in arguments for c in form.coefficients.values()}
-    states = [symbol for form in arguments for symbol in form.coefficients if isinstance(symbol, str)]
-    if len(arguments) != 2 or len(states) != 2 or len(set(states)) != 2 or len(scales) != 1:
-        raise excerpt.error(
-            call.at,
-            f"{call.function} of anything but two shifted states (a disc) is not supported in this version",
         )
-    scale = scales.pop()
-    radius = (_root(limit) if call.function == "sumsqr" else limit) / scale
-    if not radius:
-        raise excerpt.error(at, f"{name:.60} is a single point: expected a positive radius")
-    center = {
-        state: _double(-form.constant / form.coefficients[state], at, excerpt)
-        for state, form in zip(states, arguments, strict=True)
-    }
-    return DiscPredicate(name, center, _double(radius, at, excerpt))
+
+    def _comparison(self, comparison: Comparison) -> Normal:
+        """All pairs of the chain; one strip if they are parallel."""
+        parts = [(self._structure(pair, strict), name) for pair, name, strict in _differences(comparison)]
+        if any(part == FALSE for part, _ in parts) and any(map(names_of, comparison.operands)):
+            raise self.excerpt.error(comparison.at, f"{str(comparison)[:60]} can never hold")
+        merged = self._merged(comparison, [part for part, _ in parts if part != TRUE])
+        if merged is not None:
+            return self._literal(merged, str(comparison), comparison)
+        return conjunction(self._numbered(part, name, comparison) for part, name in parts)
+
+    def _negated(self, comparison: Comparison) -> Normal:
+        """One pair of the chain fails."""
+        parts = []
+        for pair, name, strict in _differences(comparison):
+            part = self._structure(Negation(pair, at=pair.at), not strict)
+            parts.append(self._numbered(part, f"not {name}", comparison))
+        return disjunction(parts)
+
+    def _structure(self, expression: Sum | Negation, strict: bool) -> Normal:
+        return not_negative(expression, self.excerpt, self.forms.budget, strict=strict)
+
+    def _merged(self, comparison: Comparison, parts: list[Normal]) -> LinearPredicate | None:
+        """One strip that means all of the parts, if they are parallel."""
+        linear = [p.predicate for p in parts if isinstance(p, Atom) and isinstance(p.predicate, LinearPredicate)]
+        if len(linear) < max(1, len(parts)) or any(p.coefficients != linear[0].coefficients for p in linear):
+            return None
+        lower, upper = max(part.lower for part in linear), min(part.upper for part in linear)
+        if lower > upper:
+            raise self.excerpt.error(comparison.at, f"can never hold: {lower:g} > {upper:g}")
+        return replace(linear[0], lower=lower, upper=upper)
+
+    def _numbered(self, structure: Normal, name: str, comparison: Comparison) -> Normal:
+        match structure:
+            case Atom(predicate):
+                return self._literal(predicate, name, comparison)
+            case Conjunction(operands):
+                return conjunction(self._numbered(operand, name, comparison) for operand in operands)
+            case Disjunction(operands):
+                return disjunction(self._numbered(operand, name, comparison) for operand in operands)
+        return structure
+
+    def _literal(self, predicate: Predicate, name: str, comparison: Comparison) -> Literal:
+        self._spend(1, comparison)
+        literal = self.forms.number(predicate, name)
+        if literal is None:
+            raise self.excerpt.error(comparison.at, f"more than {MAX_PREDICATES} predicates: expected fewer")
+        return literal
+
+    def _spend(self, size: int, formula: Formula) -> None:
+        """Regions made of regions made of regions could come to any size."""
+        self.left -= size
+        if self.left < 0:
+            raise self.excerpt.error(formula.at, f"the formula comes to more than {MAX_SIZE} parts: expected fewer")
 
 
-def _linear(
-    name: str, form: _Affine, lower: Fraction, upper: Fraction | None, at: int, excerpt: Excerpt
-) -> LinearPredicate:
-    """``lower <= form <= upper`` with the constant moved into the bounds, first coefficient positive."""
-    bounds = [math.inf if bound is None else _double(bound - form.constant, at, excerpt) for bound in (lower, upper)]
-    ordered = sorted(form.coefficients.items(), key=lambda item: str(item[0]))
-    coefficients = {str(symbol): _double(c, at, excerpt) for symbol, c in ordered}
-    if next(iter(coefficients.values())) < 0:
-        coefficients = {symbol: -c for symbol, c in coefficients.items()}
-        bounds = [-bounds[1], -bounds[0]]
-    return LinearPredicate(name, coefficients, bounds[0] + 0.0, bounds[1] + 0.0)
+def globally(start_ns: int, end_ns: int, operand: Normal) -> Normal:
+    """``operand`` at every time of the window."""
+    return TRUE if operand == TRUE else Globally(start_ns, end_ns, operand)
 
 
-def _double(value: Fraction, at: int, excerpt: Excerpt) -> float:
-    try:
-        double = float(value)
-    except OverflowError:
-        double = math.inf
-    if math.isinf(double) or (value and not double):
-        raise excerpt.error(at, "a number leaves the range of double precision")
-    return double
+def finally_(start_ns: int, end_ns: int, operand: Normal) -> Normal:
+    """``operand`` at some time of the window."""
+    return FALSE if operand == FALSE else Finally(start_ns, end_ns, operand)
 
 
-def _root(value: Fraction) -> Fraction:
-    """Square root: exact if it is rational, else to more digits than a double has."""
-    p, q = value.numerator, value.denominator
-    shift = 0
-    if math.isqrt(p) ** 2 != p or math.isqrt(q) ** 2 != q:
-        # sqrt(p / q) = sqrt(p q 4^s) / (q 2^s), s large enough for more digits than a double has
-        shift = max(0, 64 - (p * q).bit_length() // 2)
-        p, q = p * q << 2 * shift, q * q << 2 * shift
-    return Fraction(math.isqrt(p), math.isqrt(q))
+def _differences(comparison: Comparison) -> Iterator[tuple[Sum, str, bool]]:
+    """Expressions that are not negative where the comparison holds, each with its text; whether zero is not allowed."""
+    for left, sign, right in zip(comparison.operands, comparison.operators, comparison.operands[1:], strict=False):
+        name, strict = f"{left} {sign} {right}", sign in ("<", ">")
+        if sign[0] != ">":
+            yield Sum((right, Negation(left, at=left.at)), at=left.at), name, strict
+        if sign[0] != "<":
+            yield Sum((left, Negation(right, at=right.at)), at=left.at), name, strict
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= _NAME_LENGTH else name[: _NAME_LENGTH - 1] + "…"

@@ -26,9 +26,18 @@ class Excerpt:
         """Text that is a document of its own."""
         return cls(text, source, text, range(len(text) + 1))
 
+    def place(self, at: int) -> tuple[int, int]:
+        """Line and column in the document, both from 1, of the character ``at`` of ``text``."""
+        return line_and_column(self.document, self.offsets[min(at, len(self.text))])
+
     def error(self, at: int, problem: str) -> ScenarioError:
         """Error about the character ``at`` of ``text``, shown where it stands in the document."""
         return error_at(self.source, self.document, self.offsets[min(at, len(self.text))], problem)
+
+
+def line_and_column(document: str, offset: int) -> tuple[int, int]:
+    """Line and column, both from 1, of the character ``offset``."""
+    return document.count("\n", 0, offset) + 1, offset - document.rfind("\n", 0, offset)
 
 
 def error_at(source: str, document: str, offset: int, problem: str) -> ScenarioError:
@@ -40,5 +49,5 @@ def error_at(source: str, document: str, offset: int, problem: str) -> ScenarioE
     first = max(0, column - _SHOWN // 2)
     # A document may hold anything, and the message goes to a terminal.
     shown = "".join(c if c.isprintable() else " " for c in line[first : first + _SHOWN])
-    number = document.count("\n", 0, offset) + 1
-    return ScenarioError(f"{source}:{number}:{column + 1}: {problem}\n  {shown}\n  {' ' * (column - first)}^")
+    number, place = line_and_column(document, offset)
+    return ScenarioError(f"{source}:{number}:{place}: {problem}\n  {shown}\n  {' ' * (column - first)}^")

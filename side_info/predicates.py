@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fleet_bus.errors import ScenarioError
+from side_info.expression import Expression, names_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,9 @@ class LinearPredicate:
             raise ScenarioError(f"{self.name}: coefficients {dict(self.coefficients)} must be finite and none zero")
         if not self.lower <= self.upper or not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ScenarioError(f"{self.name}: no state lies between {self.lower:g} and {self.upper:g}, or all do")
+
+    def __hash__(self) -> int:
+        return hash((self.name, frozenset(self.coefficients.items()), self.lower, self.upper))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -50,10 +54,30 @@ class DiscPredicate:
         if not (math.isfinite(self.radius) and self.radius > 0):
             raise ScenarioError(f"{self.name}: the radius {self.radius:g} must be finite and positive")
 
+    def __hash__(self) -> int:
+        return hash((self.name, frozenset(self.center.items()), self.radius))
+
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states that it speaks about."""
         return tuple(self.center)
 
 
-Predicate = LinearPredicate | DiscPredicate
+@dataclass(frozen=True, slots=True)
+class NonlinearPredicate:
+    """``expression >= 0``, where it is defined; where it is not, the predicate says nothing.
+
+    The expression may speak about states, ``t``, ``k`` and the last received state. It has no kink in a state: ``abs``,
+    ``min`` and ``max`` are applied to what is no state only.
+    """
+
+    name: str
+    expression: Expression
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that it speaks about, not those inside ``last``, in alphabetical order."""
+        return tuple(sorted(names_of(self.expression)))
+
+
+Predicate = LinearPredicate | DiscPredicate | NonlinearPredicate

@@ -1,24 +1,30 @@
-"""A scenario: side information about vehicles, as predicates on windows of time since its time zero."""
+"""A scenario: what is known about vehicles, and what is asked of them, as formulas over time since its time zero."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final, Literal, Self
 
 from fleet_bus.errors import ScenarioError
 from fleet_bus.messages import VehicleProfile
-from side_info.declarations import RESERVED, Declarations
-from side_info.document import RegionFields, ScenarioFields, read_fields
-from side_info.formula import Formula, parse_excerpt
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
-from side_info.windows import TimedPredicate, timed_predicates, timeless_predicates
+from side_info.angles import misused_angle
+from side_info.document import ScenarioFields, read_fields
+from side_info.expression import Last, Steps, nodes_of
+from side_info.formula import Formula
+from side_info.normal import Normal, reach_ns
+from side_info.normal_form import literals_in
+from side_info.predicates import NonlinearPredicate, Predicate
+from side_info.scenario_text import ScenarioText
 from side_info.yaml_text import YamlText, read_yaml
 
-_MAX_SLACK_NS: Final = 2**62
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A requirement and its negation in normal form, each implied by what it stands for."""
+
+    holds: Normal
+    fails: Normal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +37,15 @@ class Scenario:
         text: the YAML document, to be published.
         state: unit of each state that the formulas name.
         time_zero: nanoseconds since the Unix epoch, or None: each vehicle has its own (``zero: on_start``).
-        regions: what each region means; a state lies in it iff all of its predicates hold.
+        semantics: whether the formulas speak about the samples or about real time.
+        speed: bound of the rate of change of states, unit per second; empty unless ``continuous``.
+        predicates: all distinct ones of the regions, ``assume`` and ``monitor``, each with a name of its own; the
+            literals of the normal forms are places in it.
+        regions: what each region means.
         assume: the side information.
-        monitor: requirements by name; they are kept, and nothing evaluates them in this version.
-        predicates: what ``assume`` comes to; it holds iff each does at each sample inside of its window.
+        side_information: its normal form.
+        monitor: requirements by name, which never cut.
+        requirements: their normal forms.
     """
 
     name: str
@@ -42,37 +53,46 @@ class Scenario:
     text: str
     state: Mapping[str, str]
     time_zero: int | None
-    regions: Mapping[str, tuple[Predicate, ...]]
+    semantics: Literal["sampled", "continuous"]
+    speed: Mapping[str, float]
+    predicates: tuple[Predicate, ...]
+    regions: Mapping[str, Normal]
     assume: Formula
+    side_information: Normal
     monitor: Mapping[str, Formula]
-    predicates: tuple[TimedPredicate, ...]
+    requirements: Mapping[str, Requirement]
 
     @classmethod
     def parse(cls, text: str, source: str = "scenario") -> Self:
         """Scenario of a YAML document; raise ``ScenarioError`` with ``source``, line, column and a caret."""
         document = read_yaml(text, source)
         fields = read_fields(document)
-        _check_names(fields, document)
-        regions = _regions(fields, document)
-        declared = Declarations(tuple(fields.state), tuple(regions), fields.parameters)
-        assume_text = document.excerpt(("assume",))
-        assume = parse_excerpt(assume_text, declared)
-        monitor: dict[str, Formula] = {}
-        for name in fields.monitor:
-            monitor_text = document.excerpt(("monitor", name))
-            monitor[name] = parse_excerpt(monitor_text, declared)
-            timed_predicates(monitor[name], regions, monitor_text)
-        return cls(
+        read = ScenarioText.of(fields, document)
+        forms, monitor = read.forms, read.monitor
+        side_information = forms.of(read.assume.formula, read.assume.excerpt)
+        requirements = {
+            name: Requirement(
+                forms.of(found.formula, found.excerpt), forms.of(found.formula, found.excerpt, holds=False)
+            )
+            for name, found in monitor.items()
+        }
+        scenario = cls(
             fields.scenario,
             fields.version,
             text,
             fields.state,
             fields.time.zero,
-            regions,
-            assume,
-            monitor,
-            timed_predicates(assume, regions, assume_text),
+            fields.time.semantics,
+            fields.time.speed,
+            forms.predicates(),
+            {name: forms.region(name) for name in fields.regions},
+            read.assume.formula,
+            side_information,
+            {name: found.formula for name, found in monitor.items()},
+            requirements,
         )
+        _check_semantics(scenario, fields, document)
+        return scenario
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Self:
@@ -91,38 +111,25 @@ class Scenario:
     @property
     def end_ns(self) -> int:
         """Nanoseconds after time zero from which on nothing is known any more."""
-        return max(timed.end_ns for timed in self.predicates)
+        return reach_ns(self.side_information)
 
-    def active(
-        self, tau_ns: NDArray[np.integer[Any]] | int, slack_ns: NDArray[np.integer[Any]] | int = 0
-    ) -> NDArray[np.bool_]:
-        """Which of the P predicates surely hold at times ``tau_ns`` (...,) after time zero: (..., P).
-
-        ``slack_ns`` bounds by how much ``tau_ns`` may be wrong, and broadcasts with it. True where
-        ``start_ns + slack_ns <= tau_ns <= end_ns - slack_ns``: there the predicate is active whatever the
-        error is. Everywhere else it is left out, which can only enlarge a set. Exact in whole nanoseconds.
-
-        Raises ``ValueError`` for what are no integers, or a slack that is negative or of more than 2^62 ns.
-        """
-        tau, slack = np.asarray(tau_ns), np.asarray(slack_ns)
-        if tau.dtype.kind not in "iu" or slack.dtype.kind not in "iu":
-            raise ValueError(f"times are integers of nanoseconds, {tau.dtype} and {slack.dtype} came")
-        if (slack < 0).any() or (slack > _MAX_SLACK_NS).any():
-            raise ValueError("slack_ns must lie between 0 and 2^62")
-        tau, slack = tau.astype(np.int64)[..., None], slack.astype(np.int64)[..., None]
-        start = np.array([timed.start_ns for timed in self.predicates], dtype=np.int64)
-        end = np.array([timed.end_ns for timed in self.predicates], dtype=np.int64)
-        inside: NDArray[np.bool_] = (start + slack <= tau) & (tau <= end - slack)
-        return inside
+    @property
+    def used(self) -> tuple[int, ...]:
+        """Numbers of the predicates that the side information or a requirement speaks about, in order."""
+        formulas = [self.side_information]
+        for requirement in self.requirements.values():
+            formulas += [requirement.holds, requirement.fails]
+        return tuple(sorted({number for formula in formulas for number in literals_in(formula)}))
 
     def state_indices(self, profile: VehicleProfile) -> dict[str, int]:
         """Index in the state of ``profile`` of each state of this scenario; ``maps_to`` before equal names.
 
-        Raises ``ScenarioError`` if one has no counterpart or another unit there, or if a predicate speaks
-        about an angle: a vehicle that has turned once is 2π away from where the predicate looks for it.
+        Raises ``ScenarioError`` if one has no counterpart or another unit there, or if a predicate that is used speaks
+        about an angle other than in ``sin``, ``cos`` or ``tan`` of a whole multiple of it: a vehicle that has turned
+        once is 2π away from where the predicate looks for it.
         """
         indices = {}
-        constrained = {state for timed in self.predicates for state in timed.predicate.states}
+        angles = set()
         for name, unit in self.state.items():
             target = profile.maps_to.get(name, name)
             if target not in profile.state:
@@ -136,12 +143,17 @@ class Scenario:
                     f"scenario {self.name}: its state {name!r} is in {unit}, "
                     f"{target!r} of class {profile.vehicle_class} in {spec.unit}: expected the same unit"
                 )
-            if spec.angle and name in constrained:
-                raise ScenarioError(
-                    f"scenario {self.name}: {target!r} of class {profile.vehicle_class} is an angle; "
-                    "predicates about angles are not supported in this version"
-                )
+            if spec.angle:
+                angles.add(name)
             indices[name] = profile.state_names.index(target)
+        for predicate in (self.predicates[number] for number in self.used):
+            angle = misused_angle(predicate, angles)
+            if angle is not None:
+                raise ScenarioError(
+                    f"scenario {self.name}: its state {angle!r} is an angle of class {profile.vehicle_class}, which "
+                    f"{predicate.name!r} uses like a length: expected it in sin, cos or tan, a whole number of times, "
+                    f"such as cos({angle} - 0.5) >= 0.9"
+                )
         return indices
 
 
@@ -155,61 +167,31 @@ def shipped() -> tuple[str, ...]:
     )
 
 
-def _check_names(fields: ScenarioFields, document: YamlText) -> None:
-    """Raise ``ScenarioError`` if a name is a word of the language or has two meanings."""
-    meanings: dict[str, str] = {}
-    for kind, names in (
-        ("state", fields.state),
-        ("parameters", fields.parameters),
-        ("regions", fields.regions),
-    ):
-        for name in names:
-            if name in RESERVED:
-                raise document.error((kind, name), f"{name!r} is a word of the language: choose another name", key=True)
-            if name in meanings:
-                raise document.error((kind, name), f"{name!r} is already declared under {meanings[name]}", key=True)
-            meanings[name] = kind
-
-
-def _regions(fields: ScenarioFields, document: YamlText) -> dict[str, tuple[Predicate, ...]]:
-    regions: dict[str, tuple[Predicate, ...]] = {}
-    for name, region in fields.regions.items():
-        if region.text is not None:
-            regions[name] = _text_region(name, fields, regions, document)
-        else:
-            regions[name] = _shape_region(name, region, fields, document)
-    return regions
-
-
-def _text_region(
-    name: str, fields: ScenarioFields, regions: Mapping[str, tuple[Predicate, ...]], document: YamlText
-) -> tuple[Predicate, ...]:
-    """Region of a formula, which may name the regions above it."""
-    path = ("regions", name)
-    excerpt = document.excerpt(path if isinstance(document.fields["regions"][name], str) else (*path, "text"))
-    formula = parse_excerpt(excerpt, Declarations(tuple(fields.state), tuple(regions), fields.parameters))
-    predicates = timeless_predicates(formula, regions, excerpt)
-    if len(predicates) == 1:
-        return (replace(predicates[0], name=name),)
-    return tuple(replace(predicate, name=f"{name}.{k}") for k, predicate in enumerate(predicates, 1))
-
-
-def _shape_region(name: str, region: RegionFields, fields: ScenarioFields, document: YamlText) -> tuple[Predicate, ...]:
-    path: tuple[str, ...] = ("regions", name, "box")
-    axes: Mapping[str, object] = region.box or {}
-    if region.disc is not None:
-        path, axes = ("regions", name, "disc", "center"), region.disc.center
-    for state in axes:
+def _check_semantics(scenario: Scenario, fields: ScenarioFields, document: YamlText) -> None:
+    """Raise ``ScenarioError`` if the document does not say, or says in vain, what its semantics need."""
+    for state in fields.time.speed:
         if state not in fields.state:
             raise document.error(
-                (*path, state),
+                ("time", "speed", state),
                 f"{state!r} is not declared: expected a state of {', '.join(fields.state)}",
                 key=True,
             )
-    if region.disc is not None:
-        return (DiscPredicate(name, region.disc.center, region.disc.radius),)
-    box = region.box or {}
-    for state, (lower, upper) in box.items():
-        if lower > upper:
-            raise document.error((*path, state), f"the bounds are reversed: {lower:g} > {upper:g}")
-    return tuple(LinearPredicate(f"{name}.{state}", {state: 1.0}, *bounds) for state, bounds in box.items())
+    if scenario.semantics == "sampled":
+        if fields.time.speed:
+            raise document.error(("time", "speed"), "a speed is of use to semantics: continuous only", key=True)
+        return
+    used = [scenario.predicates[number] for number in scenario.used]
+    for predicate in used:
+        expression = predicate.expression if isinstance(predicate, NonlinearPredicate) else None
+        if expression is not None and any(isinstance(node, Steps | Last) for node in nodes_of(expression)):
+            raise document.error(
+                ("time", "semantics"),
+                f"{predicate.name!r} speaks about samples (k, last): expected semantics: sampled, or a formula of t",
+            )
+    missing = sorted({state for predicate in used for state in predicate.states} - fields.time.speed.keys())
+    if missing:
+        raise document.error(
+            ("time", "semantics"),
+            f"continuous needs to know how fast {', '.join(missing)} can change: "
+            f"add speed: {{{missing[0]}: …}} (unit per second) to time",
+        )

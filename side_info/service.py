@@ -1,9 +1,10 @@
 """The side-info service: publishes scenarios, and which vehicle takes part in which from when on."""
 
 import time
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from itertools import count
+from pathlib import Path
 from threading import Event
 from typing import Final
 
@@ -13,22 +14,19 @@ import zenoh
 from fleet_bus import keys
 from fleet_bus.errors import KeyIdError, MessageError, ScenarioError
 from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states
-from fleet_bus.pubsub import (
-    CachedPublisher,
-    Received,
-    declare_alive,
-    declare_cached_publisher,
-    declare_recovering_subscriber,
-    query_cache,
-)
+from fleet_bus.pubsub import Received, declare_alive, declare_recovering_subscriber, query_cache
 from fleet_bus.rejections import Rejections
+from side_info import watching
+from side_info.publications import Publications
 from side_info.scenario import Scenario
 from side_info.starts import VehicleStart
+from side_info.watching import Refusal, Watched
 
 KIND: Final = "side-info"
 EVERY_VEHICLE: Final = "*"
 
 _TICK: Final = 0.02
+_TICKS_PER_LOOK: Final = 25
 _STATUS_PERIOD_NS: Final = 10**9
 _QUERY_TIMEOUT: Final = 0.5
 _WHOLE_CACHE: Final = 200_000
@@ -45,10 +43,12 @@ class SideInfoService:
     trajectory (flagged so, or the first of an agent's start); when a new one begins, the assignment is published anew.
     Where that sample is neither on the bus nor in the vehicle's cache, the vehicle is not assigned, since a guess
     could cut its sets wrongly, and the log and the status say so.
+    ``files`` says which scenario was read from which file: these are watched, and a document of a greater version that
+    checks takes the place of the published one; any other change is refused, counted and logged, once.
     Of the samples in the caches of vehicles, ``history`` each are asked for at the start.
     ``clock_offset`` (s) bounds how far the clocks of vehicles and scenarios differ; it goes into assignments.
 
-    Raises ``ScenarioError`` for an assignment to a scenario that is not loaded or for two of one name,
+    Raises ``ScenarioError`` for an assignment or a file of a scenario that is not loaded or for two of one name,
     ``KeyIdError`` for an id that cannot be in a key.
     """
 
@@ -59,6 +59,7 @@ class SideInfoService:
         assign: Mapping[str, str],
         instance: str,
         *,
+        files: Mapping[str, Path] | None = None,
         clock_offset: float = 0.0,
         history: int = 4096,
         clock: Callable[[], int] = time.time_ns,
@@ -72,8 +73,12 @@ class SideInfoService:
                 keys.check_id(vehicle)
             if name not in self._scenarios:
                 raise ScenarioError(f"vehicle {vehicle} is assigned to scenario {name!r:.80}: loaded are {loaded}")
+        for name, path in (files or {}).items():
+            if name not in self._scenarios:
+                raise ScenarioError(f"{path}: scenario {name!r:.80} is not loaded: loaded are {loaded}")
         keys.service(KIND, instance)
         self._session = session
+        self._watched = {name: Watched.begin(path, self._scenarios[name]) for name, path in (files or {}).items()}
         self._assign = dict(assign)
         self._instance = instance
         self._clock_offset = clock_offset
@@ -83,42 +88,38 @@ class SideInfoService:
         self._rejections = Rejections()
         self._starts: defaultdict[str, VehicleStart] = defaultdict(VehicleStart)
         self._searched: set[str] = set()
-        self._assignments: dict[str, tuple[int, CachedPublisher]] = {}
-        self._states = 0
-        self._published = 0
+        self._assignments: dict[str, int | None] = {}
+        self._counters: Counter[str] = Counter(states=0, assignments=0, documents_published=0)
+        self._refused_documents: Counter[str] = Counter()
 
     def run(self, stop: Event) -> None:
         """Serve until ``stop`` is set; raise ``zenoh.ZError`` if the session is closed under it."""
-        with ExitStack() as declared:
+        with Publications(self._session, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS) as publications:
             for scenario in self._scenarios.values():
-                document = ScenarioDocument(scenario=scenario.name, version=scenario.version, text=scenario.text)
-                publisher = declared.enter_context(
-                    self._publisher(keys.document(scenario.name), ScenarioDocument.encoding())
-                )
-                publisher.put(document.encode())
-            status = declared.enter_context(
-                self._publisher(keys.service_status(KIND, self._instance), ServiceStatus.encoding())
-            )
+                self._publish_document(scenario, publications)
             for vehicle in self._assign:
                 if vehicle != EVERY_VEHICLE:
-                    self._publish(vehicle, declared)
-            declared.enter_context(
-                declare_recovering_subscriber(self._session, keys.ALL_STATES, self._receive, history=self._history)
-            )
-            declared.enter_context(declare_alive(self._session, keys.service(KIND, self._instance)))
-            started = next_status = self._clock()
-            while True:
-                self._take_in(declared)
-                now = self._clock()
-                # A clock that was set back must not silence the status.
-                if not next_status - _STATUS_PERIOD_NS < now < next_status:
-                    status.put(self._status(now, started).encode())
-                    next_status = now + _STATUS_PERIOD_NS
-                if stop.wait(_TICK):
-                    return
+                    self._publish_assignment(vehicle, publications)
+            with (
+                declare_recovering_subscriber(self._session, keys.ALL_STATES, self._receive, history=self._history),
+                declare_alive(self._session, keys.service(KIND, self._instance)),
+            ):
+                self._serve(stop, publications)
 
-    def _publisher(self, key: str, encoding: str) -> CachedPublisher:
-        return declare_cached_publisher(self._session, key, encoding, cache=1)
+    def _serve(self, stop: Event, publications: Publications) -> None:
+        started = next_status = self._clock()
+        for tick in count():
+            self._take_in(publications)
+            if tick % _TICKS_PER_LOOK == 0:
+                self._look_at_files(publications)
+            now = self._clock()
+            # A clock that was set back must not silence the status.
+            if not next_status - _STATUS_PERIOD_NS < now < next_status:
+                status = self._status(now, started)
+                publications.put(keys.service_status(KIND, self._instance), ServiceStatus.encoding(), status.encode())
+                next_status = now + _STATUS_PERIOD_NS
+            if stop.wait(_TICK):
+                return
 
     def _receive(self, received: Received) -> None:
         if len(self._arrived) < _ARRIVED_LIMIT:
@@ -126,7 +127,7 @@ class SideInfoService:
         else:
             self._rejections.count(MessageError("overflow", f"more than {_ARRIVED_LIMIT} wait"), received.key)
 
-    def _take_in(self, declared: ExitStack) -> None:
+    def _take_in(self, publications: Publications) -> None:
         """Process what has arrived since the last time."""
         arrived = [self._arrived.popleft() for _ in range(len(self._arrived))]
         for vehicle, samples in self._decode(arrived).items():
@@ -135,7 +136,7 @@ class SideInfoService:
             if start.seen and start.time_zero is None and vehicle not in self._searched:
                 self._searched.add(vehicle)
                 self._search(vehicle)
-            self._publish(vehicle, declared)
+            self._publish_assignment(vehicle, publications)
 
     def _decode(self, arrived: list[Received]) -> dict[str, list[tuple[int, int]]]:
         """Stamps and flags by vehicle, in the order of arrival, of those that take part in a scenario."""
@@ -156,7 +157,7 @@ class SideInfoService:
         rows = [
             row for batch in batches for row in zip(batch.index.tolist(), batch.t.tolist(), _flags(batch), strict=True)
         ]
-        self._states += len(rows)
+        self._counters["states"] += len(rows)
         samples: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
         for index, t, flags in sorted(rows):
             samples[wanted[index][0]].append((t, flags))
@@ -174,27 +175,67 @@ class SideInfoService:
         name = self._assign.get(vehicle, self._assign.get(EVERY_VEHICLE))
         return None if name is None else self._scenarios[name]
 
-    def _publish(self, vehicle: str, declared: ExitStack) -> None:
+    def _publish_document(self, scenario: Scenario, publications: Publications) -> None:
+        document = ScenarioDocument(scenario=scenario.name, version=scenario.version, text=scenario.text)
+        publications.put(keys.document(scenario.name), ScenarioDocument.encoding(), document.encode())
+        self._counters["documents_published"] += 1
+
+    def _publish_assignment(self, vehicle: str, publications: Publications) -> None:
         """Publish the assignment of a vehicle if its time zero is known and not yet published."""
         scenario = self._scenario_of(vehicle)
         if scenario is None:
             return
-        time_zero = self._starts[vehicle].time_zero if scenario.time_zero is None else scenario.time_zero
-        if time_zero is None:
-            return
-        before, publisher = self._assignments.get(vehicle, (None, None))
-        if before == time_zero:
-            return
-        if publisher is None:
-            publisher = declared.enter_context(
-                self._publisher(keys.assignment(scenario.name, vehicle), Assignment.encoding())
-            )
+        time_zero = self._time_zero(vehicle, scenario)
+        if time_zero is not None and time_zero != self._assignments.get(vehicle):
+            self._put_assignment(vehicle, scenario, time_zero, publications)
+            self._assignments[vehicle] = time_zero
+
+    def _time_zero(self, vehicle: str, scenario: Scenario) -> int | None:
+        return self._starts[vehicle].time_zero if scenario.time_zero is None else scenario.time_zero
+
+    def _put_assignment(
+        self, vehicle: str, scenario: Scenario, time_zero: int, publications: Publications, *, active: bool = True
+    ) -> None:
         assignment = Assignment(
-            scenario=scenario.name, vehicle=vehicle, time_zero=time_zero, clock_offset=self._clock_offset
+            scenario=scenario.name,
+            vehicle=vehicle,
+            time_zero=time_zero,
+            active=active,
+            clock_offset=self._clock_offset,
         )
-        publisher.put(assignment.encode())
-        self._assignments[vehicle] = (time_zero, publisher)
-        self._published += 1
+        publications.put(keys.assignment(scenario.name, vehicle), Assignment.encoding(), assignment.encode())
+        self._counters["assignments"] += 1
+
+    def _look_at_files(self, publications: Publications) -> None:
+        for name, watched in self._watched.items():
+            self._watched[name], decision = watching.take_in(watched, watching.look(watched))
+            if isinstance(decision, Scenario):
+                self._replace(decision, publications)
+            elif isinstance(decision, Refusal):
+                self._refused_documents[decision.reason] += 1
+                _log.warning("document refused", scenario=name, reason=decision.reason, detail=decision.detail)
+
+    def _replace(self, scenario: Scenario, publications: Publications) -> None:
+        """Publish a new version of a scenario, and the assignments anew whose time zero it changes."""
+        before = self._scenarios[scenario.name]
+        self._scenarios[scenario.name] = scenario
+        # Withdrawn first: the new document with the old time zero would cut by what does not hold.
+        moved = [
+            (vehicle, time_zero)
+            for vehicle, time_zero in self._assignments.items()
+            if self._scenario_of(vehicle) is scenario
+            and time_zero is not None
+            and self._time_zero(vehicle, scenario) != time_zero
+        ]
+        for vehicle, time_zero in moved:
+            self._put_assignment(vehicle, scenario, time_zero, publications, active=False)
+            self._assignments[vehicle] = None
+        self._publish_document(scenario, publications)
+        # Where time zero had to wait for a vehicle's start before, it may be known now.
+        for vehicle in {*self._assign, *self._starts} - {EVERY_VEHICLE}:
+            if self._scenario_of(vehicle) is scenario:
+                self._publish_assignment(vehicle, publications)
+        _log.info("document published", scenario=scenario.name, version=scenario.version, before=before.version)
 
     def _status(self, now: int, started: int) -> ServiceStatus:
         # Only where time zero is the vehicle's own does it matter that its start was not seen.
@@ -210,13 +251,14 @@ class SideInfoService:
             instance=self._instance,
             t=now,
             started=started,
-            counters={"states": self._states, "assignments": self._published},
+            counters=dict(self._counters),
             gauges={
                 "scenarios": len(self._scenarios),
-                "vehicles": len(self._assignments),
+                "vehicles": sum(time_zero is not None for time_zero in self._assignments.values()),
                 "starts_not_seen": unseen,
+                "documents_behind": sum(watched.behind for watched in self._watched.values()),
             },
-            refused=self._rejections.snapshot(),
+            refused={**self._rejections.snapshot(), **self._refused_documents},
         )
 
 

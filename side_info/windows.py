@@ -1,115 +1,72 @@
-"""A formula of this version's fragment to what it comes to: predicates that hold on windows of time."""
+"""Windows of time of the temporal operators."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import Final
 
+from lark import Token, Tree
+
+from fleet_bus.errors import ScenarioError
+from side_info.arithmetic import read_number, undeclared
+from side_info.declarations import Declarations
 from side_info.expression import number_text
-from side_info.formula import Always, And, Comparison, Formula, Region, window_ns
-from side_info.normal_form import normal_form
+from side_info.parser import Branch, start_of
 from side_info.places import Excerpt
-from side_info.predicates import Predicate
 
-#: Predicates that one formula may come to.
-MAX_PREDICATES: Final = 256
+#: Latest end of a window, seconds: nanoseconds since a scenario's time zero stay well inside 64 bits.
+MAX_SECONDS: Final = 1e9
 
-_NAME_LENGTH: Final = 80
-
-Regions = Mapping[str, tuple[Predicate, ...]]
+_FACTORS: Final = {"ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60)}
 
 
-@dataclass(frozen=True, slots=True)
-class TimedPredicate:
-    """``predicate`` holds from ``start_ns`` to ``end_ns`` after time zero, both included (whole nanoseconds).
+def window_ns(start: float, end: float) -> tuple[int, int]:
+    """First and last whole nanosecond of the window from ``start`` to ``end``, seconds in decimals.
 
-    ``name`` is unique in its scenario.
+    Exact where the bounds are whole nanoseconds, else rounded inwards: time is counted in whole nanoseconds, and the
+    same of them lie in the window.
     """
-
-    name: str
-    predicate: Predicate
-    start_ns: int
-    end_ns: int
+    # Twelve digits are far below a nanosecond and above what is lost when 9 ms become seconds.
+    first, last = (round(Decimal(repr(bound)), 12).scaleb(9) for bound in (start, end))
+    return int(first.to_integral_value("ROUND_CEILING")), int(last.to_integral_value("ROUND_FLOOR"))
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    predicate: Predicate
-    window: str
-    start_ns: int
-    end_ns: int
+def check_window(start: float, end: float) -> None:
+    """Raise ``ScenarioError`` if ``start`` to ``end`` (seconds from now) is no window that a formula may have."""
+    for bound in (start, end):
+        if not 0 <= bound <= MAX_SECONDS:
+            raise ScenarioError(f"a bound of {bound:g} s: expected 0 to {MAX_SECONDS:g} s")
+    if start > end:
+        raise ScenarioError(f"the window is reversed: {number_text(start)} s > {number_text(end)} s")
+    first, last = window_ns(start, end)
+    if first > last:
+        raise ScenarioError("the window holds no whole nanosecond")
 
 
-def timeless_predicates(formula: Formula, regions: Regions, excerpt: Excerpt) -> tuple[Predicate, ...]:
-    """Predicates that together mean a formula without ``always``; raise ``ScenarioError`` if it has one."""
-    match formula:
-        case Region(name):
-            return regions[name]
-        case Comparison():
-            return normal_form(formula, excerpt)
-        case And(operands):
-            predicates: tuple[Predicate, ...] = ()
-            for operand in operands:
-                predicates += timeless_predicates(operand, regions, excerpt)
-                _check_count(len(predicates), operand, excerpt)
-            return predicates
-    raise excerpt.error(formula.at, "'always' has no meaning here: a region does not change in time")
+def read_window(window: Tree[Token], excerpt: Excerpt, declared: Declarations) -> tuple[float, float]:
+    """Bounds in seconds; raise ``ScenarioError`` at what is no bound, or at the window if they make none."""
+    start, end = (_bound(child, excerpt, declared) for child in window.children)
+    try:
+        check_window(start, end)
+    except ScenarioError as error:
+        raise excerpt.error(start_of(window), str(error)) from None
+    return start, end
 
 
-def timed_predicates(formula: Formula, regions: Regions, excerpt: Excerpt) -> tuple[TimedPredicate, ...]:
-    """Predicates on windows that together mean the formula, in its order; exact but for the closure of ``<``.
-
-    Raises ``ScenarioError`` for an atom outside of ``always``.
-    """
-    pieces: list[_Piece] = []
-    for piece in _pieces(formula, regions, excerpt):
-        # The same predicate, said twice for the same time, is one.
-        if piece not in pieces:
-            pieces.append(piece)
-            _check_count(len(pieces), formula, excerpt)
-    names = _unique_names(pieces)
-    return tuple(
-        TimedPredicate(name, replace(piece.predicate, name=name), piece.start_ns, piece.end_ns)
-        for name, piece in zip(names, pieces, strict=True)
-    )
-
-
-def _pieces(formula: Formula, regions: Regions, excerpt: Excerpt) -> Iterable[_Piece]:
-    match formula:
-        case And(operands):
-            for operand in operands:
-                yield from _pieces(operand, regions, excerpt)
-        case Always():
-            window = f"[{number_text(formula.start)}:{number_text(formula.end)}]"
-            start_ns, end_ns = window_ns(formula.start, formula.end)
-            for predicate in timeless_predicates(formula.operand, regions, excerpt):
-                yield _Piece(predicate, window, start_ns, end_ns)
-        case _:
-            raise excerpt.error(
-                formula.at,
-                f"'{formula!s:.40}' stands outside of 'always[a:b](…)', not supported in this version",
-            )
-
-
-def _check_count(count: int, formula: Formula, excerpt: Excerpt) -> None:
-    """Regions made of regions made of regions could come to any number of predicates."""
-    if count > MAX_PREDICATES:
-        raise excerpt.error(formula.at, f"more than {MAX_PREDICATES} predicates: expected fewer")
-
-
-def _unique_names(pieces: list[_Piece]) -> list[str]:
-    """Names of the predicates; one active on several windows has them in its name."""
-    short = [_shortened(piece.predicate.name) for piece in pieces]
-    windows: dict[str, set[str]] = {name: set() for name in short}
-    for name, piece in zip(short, pieces, strict=True):
-        windows[name].add(piece.window)
-    windowed = [
-        name if len(windows[name]) == 1 else name + piece.window for name, piece in zip(short, pieces, strict=True)
-    ]
-    return [
-        name if windowed.count(name) == 1 else f"{name}#{windowed[: index + 1].count(name)}"
-        for index, name in enumerate(windowed)
-    ]
-
-
-def _shortened(name: str) -> str:
-    return name if len(name) <= _NAME_LENGTH else name[: _NAME_LENGTH - 1] + "…"
+def _bound(branch: Branch, excerpt: Excerpt, declared: Declarations) -> float:
+    assert not isinstance(branch, Token)
+    at = start_of(branch)
+    value, *unit = (child for child in branch.children if isinstance(child, Token))
+    if branch.data == "negative_bound":
+        raise excerpt.error(at, "a bound is negative: expected seconds from now on, 0 or later")
+    if value.type == "NUMBER":
+        # In decimals, so that 9 ms are the same number as 0.009 s.
+        read_number(value, excerpt)
+        seconds = float(Decimal(value) * _FACTORS[unit[0] if unit else "s"])
+    elif value in declared.parameters:
+        seconds = declared.parameters[value]
+    elif value in declared.states or value in declared.regions or value in ("t", "k"):
+        raise excerpt.error(at, f"a bound is a number or a parameter, {str(value)!r} is neither")
+    else:
+        raise undeclared(value, excerpt, declared)
+    if not 0 <= seconds <= MAX_SECONDS:
+        raise excerpt.error(at, f"a bound of {seconds:g} s: expected 0 to {MAX_SECONDS:g} s")
+    return seconds

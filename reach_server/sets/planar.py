@@ -77,7 +77,7 @@ def outer_polygon(heights: Array) -> Array:
 
 
 def clip(vertices: Array, normal: Array, bound: Array) -> Array:
-    """Vertices (..., 2 V, 2) of convex polygons (..., V, 2) cut to ``normal·x <= bound``: exact up to rounding.
+    """Vertices (..., V + 1, 2) of convex polygons (..., V, 2) cut to ``normal·x <= bound``: exact up to rounding.
 
     Counter-clockwise order stays; points repeat instead of the number of vertices varying. ``normal`` is (2,) and
     ``bound`` (...). A polygon without a vertex inside comes back whole.
@@ -93,14 +93,14 @@ def clip(vertices: Array, normal: Array, bound: Array) -> Array:
         above, below = np.where(crosses, height, 1.0), np.where(crosses, other_height, 0.0)
         share = (above / (above - below))[..., None]
         point = np.where(crosses[..., None], vertices + share * (other - vertices), vertices)
-        places.append((point, inside | crosses | whole[..., None]))
+        places.append((point, crosses | (inside | whole[..., None] if neighbour > 0 else False)))
     points = np.stack([places[0][0], places[1][0]], axis=-2).reshape(*vertices.shape[:-2], -1, 2)
     valid = np.stack([places[0][1], places[1][1]], axis=-1).reshape(*vertices.shape[:-2], -1)
-    # A vertex that was cut away repeats the last point before it that was not, around the polygon.
-    count = points.shape[-2]
-    twice = np.concatenate([valid, valid], axis=-1)
-    last = np.maximum.accumulate(np.where(twice, np.arange(2 * count), -1), axis=-1)[..., count:] % count
-    return np.take_along_axis(points, last[..., None], axis=-2)
+    # One half-plane leaves at most one vertex more; the last one is repeated where there are fewer.
+    most = vertices.shape[-2] + 1
+    order = np.argsort(~valid, axis=-1, kind="stable")[..., :most]
+    place = np.minimum(np.arange(most), valid.sum(axis=-1, keepdims=True) - 1)
+    return np.take_along_axis(points, np.take_along_axis(order, place, axis=-1)[..., None], axis=-2)
 
 
 def polygon_area(vertices: Array) -> Array:

@@ -77,7 +77,18 @@ def test_scenario_commands() -> None:
     assert {"parking-lot", "roundabout"} <= set(listed.stdout.split())
     checked = run_fleet("scenario", "check", "parking-lot", "roundabout", "--profile", "svea")
     assert checked.returncode == 0
-    assert "parking-lot v1" in checked.stdout
+    assert "parking-lot v2" in checked.stdout
+
+
+def test_a_bad_scenario_ends_with_its_place_and_exit_code_2(tmp_path: Path) -> None:
+    path = tmp_path / "odd.yaml"
+    path.write_text(UNKNOWN_STATE, encoding="utf-8")
+    checked = run_fleet("scenario", "check", "roundabout", str(path))
+    assert checked.returncode == 2
+    assert "roundabout v2" in checked.stdout
+    assert "odd.yaml:6" in checked.stderr
+    assert "x9" in checked.stderr
+    assert run_fleet("scenario", "show", str(path)).returncode == 2
 
 
 def test_evaluate_sets_methods_side_by_side(tmp_path: Path) -> None:

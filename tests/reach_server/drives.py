@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
+from reach_server.factor_sets import FactorSet
 from reach_server.regression import Layout, transitions
 from reach_server.sets import support
-from reach_server.tube import FactorSet
 from reach_server.windows import Block, SampleBatch
 from vehicle_agent.simulate import Drive, simulate_history
 from vehicle_agent.svea import SveaParameters, increment, jacobian_bounds, step

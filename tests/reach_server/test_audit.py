@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from reach_server.audit import Predictions, inside
+from reach_server.factor_sets import FactorSet
 from reach_server.rows import take
-from reach_server.tube import FactorSet
 from reach_server.windows import Floats, SampleBatch
 
 NONE = np.zeros((2, 0))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fleet_bus.messages import VehicleProfile, parse_profile
 from reach_server.inputs import future_inputs, limits
-from reach_server.tube import InputSets
+from reach_server.recursion import InputSets
 from reach_server.windows import Floats
 from tests.reach_server.ugly import moderate
 

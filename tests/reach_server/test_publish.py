@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_bus.messages import Audit, Label, ReachTube
+from reach_server.factor_sets import FactorSet
+from reach_server.figures import figures
 from reach_server.publish import messages, outward_box, outward_generators
-from reach_server.results import figures
-from reach_server.tube import FactorSet
-from tests.reach_server.test_results import PLANE, none_act, table
+from tests.reach_server.test_figures import PLANE, none_act, strips
 from tests.reach_server.ugly import assert_outlines, directions, moderate
 
 scales = st.sampled_from([1e-30, 1e-12, 1e-3, 1.0, 1e6, 1e12])
@@ -49,13 +49,13 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
     center = np.array([[5e6, -3e5, 1.0], [0.0, 0.0, 0.0]])
     G = scale * rng.normal(size=(2, 3, 9)) * np.array([1.0, 1.0, 1e-3])[:, None]
     sets = FactorSet.zonotope(center, G)
-    figure = figures(sets, np.repeat(none_act(), 2, axis=0), table(), PLANE)
+    figure = figures(sets, np.repeat(none_act(), 2, axis=0), strips(), PLANE)
     ids = np.array([1, 1], dtype=np.uint64)
     times = np.array([[2], [2]], dtype=np.int64)
     tubes = Tubes(
         ("a", "b"), ids, ids, np.array([1, 1]), times, (sets,), (sets,), figure.area[:, None], figure.area[:, None],
-        figure.outline[:, None], figure.hull[:, None], (Label.GUARANTEED,) * 2, "set_membership", ((), ()), ((), ()),
-        (), {},
+        figure.outline()[:, None], figure.hull[:, None], (Label.GUARANTEED,) * 2, "set_membership", ((), ()), ((), ()),
+        ({}, {"s.stays": "satisfied"}), (), {},
     )  # fmt: skip
     sent = list(
         messages(tubes, ("x", "y", "z"), PLANE, [Audit(), Audit(3, 2, 0.5)], server="s", server_epoch=1,
@@ -72,4 +72,5 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
         assert (came.hull[0, 0] <= points).all()
         assert (points <= came.hull[0, 1]).all()
         assert (np.abs(d @ came.generators[0]).sum(axis=1) >= (points @ d.T).max(axis=0)).all()
+    assert sent[1].verdicts == {"s.stays": "satisfied"}
     assert sent[1].audit == Audit(3, 2, 0.5)

@@ -7,12 +7,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
+from reach_server.cuts import CutMethod, CutSets, cut_sets
+from reach_server.factor_sets import FactorSet
 from reach_server.model import Model, NoiseBounds, fit
-from reach_server.predicates import CutTable, compile_cuts
+from reach_server.predicates import Context, Literals
+from reach_server.recursion import InputSets, Recursion, _turn
 from reach_server.regression import Layout, Transitions, transitions
+from reach_server.rows import take
 from reach_server.sets import support
-from reach_server.tube import CutMethod, FactorSet, InputSets, Tube, _turn, apply_cuts, propagate
-from side_info import DiscPredicate, Scenario
+from reach_server.tube import Branches, Knowledge, Tracks, Tube, propagate
+from side_info import DiscPredicate, LinearPredicate, Scenario
+from side_info.progression import TRUE, Grid, Table
 from tests.reach_server.drives import (
     LAYOUT,
     PROFILE,
@@ -35,8 +40,49 @@ COUNT = 3000
 cut_methods = pytest.mark.parametrize("cuts", ["zonotope", "constrained", "frobenius"])
 
 
-def no_cuts(profile: VehicleProfile) -> CutTable:
-    return compile_cuts((), profile)
+class Side:
+    """A scenario as the tube sees it: its table, its literals over the states of a profile, and its root."""
+
+    def __init__(self, scenario: Scenario | None, profile: VehicleProfile, step_ns: int = SVEA.dt_ns) -> None:
+        n = len(profile.state)
+        self.table = Table()
+        self.literals = Literals(n, (0, 1), np.zeros((n, 0)))
+        self.root = TRUE
+        if scenario is not None:
+            index = scenario.state_indices(profile)
+
+            def literal(number: int, margin_ns: int) -> int:
+                predicate = scenario.predicates[number]
+                return self.literals.add(predicate, index, scenario=scenario.name, name=predicate.name)
+
+            self.root = self.table.add(scenario.side_information, Grid(step_ns), literal)
+
+    @staticmethod
+    def contexts(literal: int, rows: NDArray[np.intp]) -> Context:
+        """Nothing that a predicate of these tests refers to."""
+        zero = np.zeros(len(rows))
+        return Context(zero, zero, zero, np.zeros((len(rows), 4)), np.zeros((len(rows), 4)))
+
+    def knowledge(self, cuts: CutMethod = "zonotope") -> Knowledge:
+        """For ``propagate``."""
+        return Knowledge(self.table, self.literals, lambda k, track: self.contexts, cuts, (0, 1))
+
+    def cut_all(self, start: FactorSet, asked: NDArray[np.bool_], cuts: CutMethod) -> CutSets:
+        """Sets cut by the literals asked for."""
+        return cut_sets(start, asked, self.literals, self.contexts, cuts, 2, (0, 1))
+
+
+def tube_of(
+    start: FactorSet,
+    motion: Recursion,
+    side: Side | None = None,
+    cuts: CutMethod = "zonotope",
+) -> Tube:
+    """One tube per row of ``start``, all with the side information, or none."""
+    known = Side(None, WORLD.profile) if side is None else side
+    rows = np.arange(len(start.center))
+    tracks = Tracks(rows, start, rows, np.full(len(rows), known.root), np.ones(len(rows), dtype=bool))
+    return propagate(tracks, motion, known.knowledge(cuts), motion.layout.n)
 
 
 def spread(rng: np.random.Generator, center: Floats, half: Floats, count: int) -> Floats:
@@ -85,12 +131,21 @@ def svea_model(seed: int) -> Model:
     return fit(transitions(block_of(drive.measured, drive.inputs), LAYOUT), LAYOUT, bounds, PROFILE.lipschitz)
 
 
-def assert_all_inside(tube: Tube, truth: Floats, rng: np.random.Generator, row: int = 0) -> None:
-    for k, sets in enumerate(tube.steps):
-        held = inside(sets, row, truth[:, k], rng)
+def assert_all_inside(tube: Tube, truth: Floats, rng: np.random.Generator) -> None:
+    """Every true state lies in one of the branches of the only track."""
+    for k, step in enumerate(tube.steps):
+        sets = step.sets
+        held = np.any([inside(sets, row, truth[:, k], rng) for row in range(len(step.track))], axis=0)
         assert held.all(), (k, int((~held).sum()))
-        case = Raw("", sets.center[row], sets.generators[row], sets.matrix[row], sets.offset[row])
-        assert_holds(case, truth[:2, k])
+        if len(step.track) == 1:
+            case = Raw("", sets.center[0], sets.generators[0], sets.matrix[0], sets.offset[0])
+            assert_holds(case, truth[:2, k])
+
+
+def only(step: Branches) -> FactorSet:
+    """The set of a step, where every track has one branch."""
+    assert np.array_equal(step.track, np.arange(len(step.track)))
+    return step.sets
 
 
 @pytest.mark.parametrize("membership", [True, False])
@@ -100,10 +155,8 @@ def test_world_trajectories_stay_inside(seed: int, membership: bool) -> None:
     y, past = rng.uniform(-1, 1, 2), rng.uniform(-1, 1, (1, 1))
     center, half = rng.uniform(-0.5, 0.5, (HORIZON, 1)), rng.uniform(0, 0.5, (HORIZON, 1))
     start = FactorSet.zonotope(y[None], WORLD.measurement[None])
-    tube = propagate(
-        start, InputSets(past[None], center[None], half[None]), world_model(seed), WORLD.process, WORLD.layout,
-        no_cuts(WORLD.profile), np.zeros((1, HORIZON + 1, 0), dtype=bool), membership=membership,
-    )  # fmt: skip
+    inputs = InputSets(past[None], center[None], half[None])
+    tube = tube_of(start, Recursion(inputs, world_model(seed), WORLD.process, WORLD.layout, membership))
     u = spread(rng, center, half, COUNT)
     truth = world_truth(rng, y - noise(rng, WORLD.measurement, COUNT), u, past[0])
     assert_all_inside(tube, truth, rng)
@@ -119,11 +172,11 @@ def svea_tube(
     past = rng.uniform(-1, 1, (2, 2)) * limit
     half = limit * (rng.uniform(0.3, 1.0) if wide else 0.02) * np.ones((HORIZON, 1))
     center = rng.uniform(-1, 1, (HORIZON, 2)) * (limit - half)
-    tube = propagate(
-        FactorSet.zonotope(y[None], measurement[None]), InputSets(past[None], center[None], half[None]),
-        svea_model(seed), np.diag(SVEA.process_noise), LAYOUT, no_cuts(PROFILE),
-        np.zeros((1, HORIZON + 1, 0), dtype=bool), membership=membership, kept_generators=kept_generators,
+    motion = Recursion(
+        InputSets(past[None], center[None], half[None]), svea_model(seed), np.diag(SVEA.process_noise), LAYOUT,
+        membership, kept_generators,
     )  # fmt: skip
+    tube = tube_of(FactorSet.zonotope(y[None], measurement[None]), motion)
     truth = svea_truth(rng, y - noise(rng, measurement, COUNT), spread(rng, center, half, COUNT), past)
     return tube, truth, rng
 
@@ -150,10 +203,8 @@ def test_a_linear_system_without_noise_gets_its_reachable_set_and_nothing_else()
     model = fit(data, layout, NoiseBounds(nothing, nothing), None)
     start = FactorSet.zonotope(np.array([[1.0, 2.0]]), 0.3 * rng.normal(size=(1, 2, 3)))
     past, center, half = rng.normal(size=(1, 2, 2)), rng.normal(size=(1, 6, 2)), rng.uniform(0, 1, (1, 6, 2))
-    table, active = no_cuts(WORLD.profile), np.zeros((1, 7, 0), dtype=bool)
-    tube = propagate(
-        start, InputSets(past, center, half), model, nothing, layout, table, active, kept_generators=200
-    )  # fmt: skip
+    motion = Recursion(InputSets(past, center, half), model, nothing, layout, kept_generators=200)
+    tube = tube_of(start, motion)
     d = rng.normal(size=(30, 2))
     middle, G = start.center[0], start.generators[0]
     # inputs[k] is the input of step k, as (center, generators over the input factors of all steps)
@@ -167,7 +218,7 @@ def test_a_linear_system_without_noise_gets_its_reachable_set_and_nothing_else()
         middle = A @ middle + sum(B[lag] @ known[k - lag] for lag in range(3))
         G, H = A @ G, A @ H + sum(B[lag] @ held[k - lag] for lag in range(3))
         exact = d @ middle + np.abs(d @ G).sum(axis=1) + np.abs(d @ H).sum(axis=1)
-        sets = tube.steps[k + 1]
+        sets = only(tube.steps[k + 1])
         bound = d @ sets.center[0] + np.abs(d @ sets.generators[0]).sum(axis=1)
         np.testing.assert_allclose(bound, exact, rtol=1e-9)
 
@@ -185,10 +236,9 @@ def test_a_car_without_noise_gets_little_more_than_it_reaches() -> None:
     y = np.array([1.0, 2.0, 0.7, 1.0])
     start_half = np.diag([0.0, 0.0, 0.02, 0.05])
     past, center, half = np.zeros((2, 2)), np.tile([0.1, 1.0], (6, 1)), np.tile([0.03, 0.2], (6, 1))
-    tube = propagate(
-        FactorSet.zonotope(y[None], start_half[None]), InputSets(past[None], center[None], half[None]), model,
-        nothing, LAYOUT, no_cuts(PROFILE), np.zeros((1, 7, 0), dtype=bool), kept_generators=200,
-    )  # fmt: skip
+    inputs = InputSets(past[None], center[None], half[None])
+    motion = Recursion(inputs, model, nothing, LAYOUT, kept_generators=200)
+    tube = tube_of(FactorSet.zonotope(y[None], start_half[None]), motion)
     count = 40_000
     u = spread(rng, center, half, count)
     steering = [np.zeros(count), np.zeros(count), *u[..., 0].T]
@@ -199,8 +249,8 @@ def test_a_car_without_noise_gets_little_more_than_it_reaches() -> None:
             [np.cos(angle) * forward, np.sin(angle) * forward, 0.3 * steering[k], 0.2 * (u[:, k, 1] - state[:, 3])],
             axis=1,
         )
-        assert inside(tube.steps[k + 1], 0, state, rng).all()
-        width = 2 * np.abs(tube.steps[k + 1].generators[0]).sum(axis=1)
+        assert inside(only(tube.steps[k + 1]), 0, state, rng).all()
+        width = 2 * np.abs(only(tube.steps[k + 1]).generators[0]).sum(axis=1)
         assert (np.ptp(state, axis=0) > 0.9 * width).all()
 
 
@@ -208,8 +258,8 @@ def test_few_generators_cost_size_and_no_trajectory() -> None:
     tight, truth, rng = svea_tube(1, 0.1, wide=True, membership=True)
     coarse, _, _ = svea_tube(1, 0.1, wide=True, membership=True, kept_generators=0)
     assert_all_inside(coarse, truth, rng)
-    assert max(s.generators.shape[2] for s in coarse.steps) <= 8
-    size = [np.abs(t.steps[-1].generators).sum() for t in (tight, coarse)]
+    assert max(s.sets.generators.shape[2] for s in coarse.steps) <= 8
+    size = [np.abs(t.steps[-1].sets.generators).sum() for t in (tight, coarse)]
     assert size[0] <= size[1]
 
 
@@ -217,7 +267,7 @@ def test_tubes_are_not_absurdly_wide() -> None:
     """With a known plan and a good model the set of the first step is a small multiple of what is reached."""
     tube, truth, _ = svea_tube(3, 0.006, wide=False, membership=True)
     reached = np.ptp(truth[:, 1], axis=0)
-    width = 2 * np.abs(tube.steps[1].generators[0]).sum(axis=1)
+    width = 2 * np.abs(only(tube.steps[1]).generators[0]).sum(axis=1)
     assert (width < 15 * reached).all()
 
 
@@ -267,28 +317,30 @@ regions:
   box: {{box: {{x1: [{0}, {1}], x2: [{2}, {3}]}}}}
   disc: {{disc: {{center: {{x1: {4}, x2: {5}}}, radius: {6}}}}}
   slope: "x1 + 0.5*x2 <= {7}"
-assume: always[0:100 s](box) and always[0:100 s](disc) and always[0:100 s](slope)
+assume: always[{8} ms:100 s](box) and always[{8} ms:100 s](disc) and always[{8} ms:100 s](slope)
 """
 
 
-def scenario_around(points: Floats) -> Scenario:
-    """Predicates that cut off a part of the end points (K, 2)."""
+def scenario_around(points: Floats, active_from: int) -> Scenario:
+    """Predicates that cut off a part of the end points (K, 2), from a step on."""
     low, high = np.quantile(points, 0.1, axis=0), np.quantile(points, 0.9, axis=0)
     middle = points.mean(axis=0)
     radius = np.quantile(np.linalg.norm(points - middle, axis=1), 0.8)
     slope = np.quantile(points[:, 0] + 0.5 * points[:, 1], 0.8)
-    return Scenario.parse(BOX.format(low[0], high[0], low[1], high[1], *middle, radius, slope))
+    begin = round(active_from * SVEA.dt * 1000)
+    return Scenario.parse(BOX.format(low[0], high[0], low[1], high[1], *middle, radius, slope, begin))
 
 
 def obeys(points: Floats, scenario: Scenario) -> NDArray[np.bool_]:
     """Whether points (..., 2) obey every predicate of ``BOX``."""
     x, y = points[..., 0], points[..., 1]
     held = np.ones(x.shape, dtype=bool)
-    for predicate in (*scenario.regions["box"], *scenario.regions["disc"], *scenario.regions["slope"]):
+    for predicate in scenario.predicates:
         if isinstance(predicate, DiscPredicate):
             middle = np.array(list(predicate.center.values()))
             held &= np.linalg.norm(points - middle, axis=-1) <= predicate.radius
         else:
+            assert isinstance(predicate, LinearPredicate)
             height = predicate.coefficients.get("x1", 0.0) * x + predicate.coefficients.get("x2", 0.0) * y
             held &= (predicate.lower <= height) & (height <= predicate.upper)
     return held
@@ -313,23 +365,21 @@ def test_trajectories_that_obey_the_scenario_stay_in_the_cut_tube(
         center, half = np.tile([0.1, 0.8], (HORIZON, 1)), np.tile([0.3, 0.4], (HORIZON, 1))
         u = spread(rng, center, half, 6 * COUNT)
         truth = svea_truth(rng, y - noise(rng, measurement, 6 * COUNT), u, past)
-    scenario = scenario_around(truth[:, active_from:, :2].reshape(-1, 2))
+    scenario = scenario_around(truth[:, active_from:, :2].reshape(-1, 2), active_from)
     obedient = obeys(truth[:, active_from:, :2], scenario).all(axis=1)
     assert obedient.sum() > 50
-    table = compile_cuts([scenario], profile)
-    active = np.zeros((1, HORIZON + 1, table.count), dtype=bool)
-    active[:, active_from:] = True
     inputs = InputSets(past[None], center[None], half[None])
     start = FactorSet.zonotope(y[None], measurement[None])
-    tube = propagate(start, inputs, model, process, layout, table, active, cuts=cuts)
-    free = propagate(start, inputs, model, process, layout, table, np.zeros_like(active), cuts=cuts)
-    assert not tube.empty.any()
-    assert tube.cut[:, active_from:].any()
-    assert not tube.cut[:, :active_from].any()
+    motion = Recursion(inputs, model, process, layout)
+    tube = tube_of(start, motion, Side(scenario, profile), cuts)
+    free = tube_of(start, motion)
+    assert (tube.ended < 0).all()
+    assert tube.acted[:, active_from:].any()
+    assert not tube.acted[:, :active_from].any()
     assert_all_inside(tube, truth[obedient], rng)
     if cuts != "frobenius":
         d = np.concatenate([np.eye(layout.n), -np.eye(layout.n)])
-        last, last_free = tube.steps[-1], free.steps[-1]
+        last, last_free = only(tube.steps[-1]), only(free.steps[-1])
         width, width_free = (
             support.constrained_support(s.center, s.generators, s.matrix, s.offset, d)[0]
             for s in (last, last_free)
@@ -339,34 +389,52 @@ def test_trajectories_that_obey_the_scenario_stay_in_the_cut_tube(
 
 @cut_methods
 def test_cuts_that_leave_nothing_are_told_and_not_applied(cuts: CutMethod) -> None:
-    scenario = Scenario.parse(BOX.format(5, 6, 5, 6, 5.5, 5.5, 1, 20))
-    table = compile_cuts([scenario], WORLD.profile)
+    side = Side(Scenario.parse(BOX.format(5, 6, 5, 6, 5.5, 5.5, 1, 20, 0)), WORLD.profile)
     start = FactorSet.zonotope(np.zeros((2, 2)), np.array([0.1, 10.0])[:, None, None] * np.eye(2))
-    state, empty, acted = apply_cuts(start, table, np.ones((2, table.count), dtype=bool), cuts, 2)
-    assert empty[0].any()
-    assert not empty[1].any()
-    assert acted[1].any()
-    assert inside(state, 0, np.array([[0.1, 0.1], [-0.1, -0.1]]), np.random.default_rng(0)).all()
+    cut = side.cut_all(start, np.ones((2, side.literals.count), dtype=bool), cuts)
+    assert cut.empty[0].any()
+    assert not cut.empty[1].any()
+    assert cut.acted[1].any()
+    assert inside(cut.sets, 0, np.array([[0.1, 0.1], [-0.1, -0.1]]), np.random.default_rng(0)).all()
 
 
 def test_conflicting_cuts_of_a_constrained_set_are_found_empty_together() -> None:
-    text = BOX.format(-1, 1, -1, 1, 0, 0, 0.5, -0.9)
-    table = compile_cuts([Scenario.parse(text)], WORLD.profile)
+    side = Side(Scenario.parse(BOX.format(-1, 1, -1, 1, 0, 0, 0.5, -0.9, 0)), WORLD.profile)
     start = FactorSet.zonotope(np.zeros((1, 2)), np.eye(2)[None])
-    _, empty, _ = apply_cuts(start, table, np.ones((1, table.count), dtype=bool), "constrained", 2)
-    assert empty.any()
+    assert side.cut_all(start, np.ones((1, side.literals.count), dtype=bool), "constrained").empty.any()
+
+
+@pytest.mark.parametrize("cuts", ["zonotope", "constrained"])
+def test_a_track_without_branches_ends_and_names_what_conflicts(cuts: CutMethod) -> None:
+    """Box and slope have nothing in common near the start; the disc has no part in it."""
+    text = BOX.format(-0.5, 0.5, -0.5, 0.5, 0, 0, 50, -0.9, 0)
+    side = Side(Scenario.parse(text), WORLD.profile)
+    start = FactorSet.zonotope(np.zeros((2, 2)), np.stack([np.eye(2), 9 * np.eye(2)]))
+    motion = Recursion(
+        InputSets(np.zeros((2, 1, 1)), np.zeros((2, 2, 1)), np.zeros((2, 2, 1))), two_vehicles(world_model(0)),
+        WORLD.process, WORLD.layout,
+    )  # fmt: skip
+    tube = tube_of(start, motion, side, cuts)
+    assert tube.ended.tolist() == [0, 0]
+    assert all(not len(step.track) for step in tube.steps)
+    for row in tube.blamed:
+        names = {side.literals.name(i) for i in np.flatnonzero(row).tolist()}
+        assert "slope" in names
+        assert names & {"box.x1", "box.x2"}
+        assert "disc" not in names
 
 
 @cut_methods
 def test_an_inactive_cut_changes_nothing_beside_an_active_one(cuts: CutMethod) -> None:
-    table = compile_cuts([Scenario.parse(BOX.format(-0.5, 0.5, -0.5, 0.5, 0, 0, 0.6, 0.3))], WORLD.profile)
+    side = Side(Scenario.parse(BOX.format(-0.5, 0.5, -0.5, 0.5, 0, 0, 0.6, 0.3, 0)), WORLD.profile)
     start = FactorSet.zonotope(np.zeros((2, 2)), np.broadcast_to(np.eye(2), (2, 2, 2)))
-    active = np.zeros((2, table.count), dtype=bool)
-    active[0] = True
-    state, _, acted = apply_cuts(start, table, active, cuts, 2)
-    assert not acted[1].any()
+    asked = np.zeros((2, side.literals.count), dtype=bool)
+    asked[0] = True
+    cut = side.cut_all(start, asked, cuts)
+    assert not cut.acted[1].any()
     d = np.concatenate([np.eye(2), -np.eye(2)])
-    heights = support.constrained_support(state.center, state.generators, state.matrix, state.offset, d)
+    sets = cut.sets
+    heights = support.constrained_support(sets.center, sets.generators, sets.matrix, sets.offset, d)
     np.testing.assert_allclose(heights[1], 1.0, atol=1e-6)
     assert (heights[0] < 0.8).all()
 
@@ -378,16 +446,14 @@ def test_known_inputs_act_through_their_lags() -> None:
     half[0, 0] = 0.3
     past = np.array([[0.1, 1.0], [-0.1, 1.0]])
     y = np.array([0.0, 0.0, 0.0, 1.0])
-    tube = propagate(
-        FactorSet.zonotope(y[None], np.zeros((1, 4, 0))), InputSets(past[None], center[None], half[None]),
-        svea_model(0), np.zeros((4, 0)), LAYOUT, no_cuts(PROFILE), np.zeros((1, 4, 0), dtype=bool),
-    )  # fmt: skip
+    motion = Recursion(InputSets(past[None], center[None], half[None]), svea_model(0), np.zeros((4, 0)), LAYOUT)
+    tube = tube_of(FactorSet.zonotope(y[None], np.zeros((1, 4, 0))), motion)
     u = spread(rng, center, half, 500)
     steering = [np.full(500, -0.1), np.full(500, 0.1), u[:, 0, 0]]
     state = np.broadcast_to(y, (500, 4))
     for k in range(3):
         state = svea_step(SVEA, state, steering[k], u[:, k, 1])
-        assert inside(tube.steps[k + 1], 0, state, rng).all()
+        assert inside(only(tube.steps[k + 1]), 0, state, rng).all()
 
 
 def test_two_vehicles_get_what_each_gets_alone() -> None:
@@ -395,19 +461,15 @@ def test_two_vehicles_get_what_each_gets_alone() -> None:
     y = rng.normal(size=(2, 4))
     inputs = InputSets(rng.normal(size=(2, 2, 2)) * 0.1, np.zeros((2, 5, 2)), np.full((2, 5, 2), 0.1))
     start = FactorSet.zonotope(y, np.broadcast_to(0.01 * np.eye(4), (2, 4, 4)))
-    nothing = np.zeros((2, 6, 0), dtype=bool)
-    table, process = no_cuts(PROFILE), np.diag(SVEA.process_noise)
-    both = propagate(start, inputs, two_vehicles(svea_model(1)), process, LAYOUT, table, nothing)
+    process = np.diag(SVEA.process_noise)
+    both = tube_of(start, Recursion(inputs, two_vehicles(svea_model(1)), process, LAYOUT))
     for v in range(2):
         row = slice(v, v + 1)
-        alone = propagate(
-            FactorSet(start.center[row], start.generators[row], start.matrix[row], start.offset[row]),
-            InputSets(inputs.past[row], inputs.center[row], inputs.half[row]),
-            svea_model(1), process, LAYOUT, table, nothing[row],
-        )  # fmt: skip
+        alone = tube_of(take(start, row), Recursion(take(inputs, row), svea_model(1), process, LAYOUT))
         for k in range(6):
-            np.testing.assert_allclose(both.steps[k].center[v], alone.steps[k].center[0], atol=1e-12)
-            width, width_alone = (np.abs(s.steps[k].generators[i]).sum(axis=1) for s, i in ((both, v), (alone, 0)))
+            sets, one = only(both.steps[k]), only(alone.steps[k])
+            np.testing.assert_allclose(sets.center[v], one.center[0], atol=1e-12)
+            width, width_alone = (np.abs(s.generators[i]).sum(axis=1) for s, i in ((sets, v), (one, 0)))
             np.testing.assert_allclose(width, width_alone, rtol=1e-9)
 
 

@@ -20,3 +20,9 @@ def test_of_a_long_line_the_part_around_the_place_is_shown() -> None:
     _, shown, caret = str(error_at("file", "x" * 500 + "!" + "y" * 500, 500, "problem")).split("\n")
     assert len(shown) < 110
     assert shown[caret.index("^")] == "!"
+
+
+def test_the_place_of_a_character_of_an_excerpt() -> None:
+    excerpt = Excerpt("cd", "file", "a\nbcd", (3, 4, 5))
+    assert [excerpt.place(at) for at in (0, 1, 2, 9)] == [(2, 2), (2, 3), (2, 4), (2, 4)]
+    assert str(excerpt.error(1, "problem")).startswith("file:2:3: ")

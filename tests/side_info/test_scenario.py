@@ -1,19 +1,21 @@
-"""Scenario documents: what ships, what is refused and where, when which predicate is active."""
+"""Scenario documents: what ships, what they come to, what is refused and where."""
 
+import math
 import pickle
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_bus.messages import VehicleProfile, parse_profile
-from side_info import DiscPredicate, Formula, LinearPredicate, Scenario, ScenarioError, shipped
+from side_info import DiscPredicate, Formula, LinearPredicate, Requirement, Scenario, ScenarioError, shipped
 from side_info.document import instant_ns
+from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal
+from side_info.normal_form import literals_in
 from side_info.yaml_text import MAX_BYTES
 from tests.side_info.corpus import DOCUMENT, DOCUMENTS
 
@@ -22,20 +24,23 @@ SECOND = 10**9
 
 def test_the_parking_lot_has_the_numbers_of_the_paper() -> None:
     scenario = Scenario.load("parking-lot")
-    assert [(timed.predicate, timed.start_ns, timed.end_ns) for timed in scenario.predicates] == [
-        (LinearPredicate("P.x1", {"x1": 1.0}, -1.437, 1.998), 0, 25 * SECOND),
-        (LinearPredicate("P.x2", {"x2": 1.0}, -1.59, 3.268), 0, 25 * SECOND),
-        (LinearPredicate("O", {"x2": 1.0}, -2.665, -0.665), 25 * SECOND, 40 * SECOND),
-    ]
-    # h1 to h5 as printed: half-width - |state + shift|
-    for region, state, half, shift in (
-        ("P", "x1", 1.7175, -0.2805),
-        ("P", "x2", 2.429, -0.839),
-        ("gate", "x1", 1.3045, 0.3225),
-        ("gate", "x2", 0.453, 1.137),
-        ("O", "x2", 1.0, 1.665),
-    ):
-        (strip,) = [p for p in scenario.regions[region] if p.states == (state,)]
+    lower, upper, street = scenario.predicates[:3]
+    assert (lower, upper, street) == (
+        LinearPredicate("P.x1", {"x1": 1.0}, -1.437, 1.998),
+        LinearPredicate("P.x2", {"x2": 1.0}, -1.59, 3.268),
+        LinearPredicate("O", {"x2": 1.0}, -2.665, -0.665),
+    )
+    lot = Conjunction((Literal(0), Literal(1)))
+    assert scenario.regions["P"] == lot
+    assert scenario.side_information == Conjunction(
+        (
+            Globally(0, 25 * SECOND, lot),
+            Finally(0, 25 * SECOND, Conjunction((Literal(0), Literal(1), Literal(2)))),
+            Globally(25 * SECOND, 40 * SECOND, Literal(2)),
+        )
+    )
+    # h1, h2, h5 as printed: half-width - |state + shift|
+    for strip, half, shift in ((lower, 1.7175, -0.2805), (upper, 2.429, -0.839), (street, 1.0, 1.665)):
         assert isinstance(strip, LinearPredicate)
         assert (strip.lower, strip.upper) == pytest.approx((-shift - half, -shift + half), abs=1e-12)
     assert scenario.end_ns == 40 * SECOND
@@ -44,11 +49,18 @@ def test_the_parking_lot_has_the_numbers_of_the_paper() -> None:
 
 def test_the_roundabout_has_the_numbers_of_the_paper() -> None:
     scenario = Scenario.load("roundabout")
-    assert [(timed.predicate, timed.start_ns, timed.end_ns) for timed in scenario.predicates] == [
-        (LinearPredicate("B", {"x2": 1.0}, 1.25, 3.25), 0, 4 * SECOND),
-        (DiscPredicate("ring", {"x1": 0.307, "x2": 0.044}, 1.429), 4 * SECOND, 10 * SECOND),
-        (LinearPredicate("A", {"x2": 1.0}, -3.169, -1.169), 10 * SECOND, 14 * SECOND),
-    ]
+    assert scenario.side_information == Conjunction(
+        (
+            Globally(0, 4 * SECOND, Literal(0)),
+            Globally(4 * SECOND, 10 * SECOND, Literal(1)),
+            Globally(10 * SECOND, 14 * SECOND, Literal(2)),
+        )
+    )
+    assert scenario.predicates[:3] == (
+        LinearPredicate("B", {"x2": 1.0}, 1.25, 3.25),
+        DiscPredicate("ring", {"x1": 0.307, "x2": 0.044}, 1.429),
+        LinearPredicate("A", {"x2": 1.0}, -3.169, -1.169),
+    )
 
 
 @pytest.mark.parametrize("name", shipped())
@@ -57,6 +69,7 @@ def test_what_ships_is_named_as_its_file_and_reads_back(name: str) -> None:
     assert scenario.name == name
     again = Scenario.parse(scenario.text)
     assert (again.predicates, again.assume) == (scenario.predicates, scenario.assume)
+    assert (again.side_information, again.requirements) == (scenario.side_information, scenario.requirements)
 
 
 def test_shipped_scenarios() -> None:
@@ -69,16 +82,77 @@ def test_a_document_in_full() -> None:
     assert scenario.state == {"x1": "m", "x2": "m"}
     assert str(scenario.assume) == "always[0:25](P) and always[25:40](O)"
     assert {name: str(formula) for name, formula in scenario.monitor.items()} == {"stays": "always[0:1](P)"}
-    assert scenario.regions["D"] == (DiscPredicate("D", {"x1": 0.0, "x2": 0.5}, 2.0),)
-    assert scenario.regions["O"] == (LinearPredicate("O", {"x2": 1.0}, -3.0, 0.0),)
+    assert (scenario.semantics, scenario.speed) == ("sampled", {})
+    assert scenario.predicates == (
+        LinearPredicate("P.x1", {"x1": 1.0}, -1.5, 2.0),
+        LinearPredicate("P.x2", {"x2": 1.0}, -1.0, 3.0),
+        DiscPredicate("D", {"x1": 0.0, "x2": 0.5}, 2.0),
+        LinearPredicate("O", {"x2": 1.0}, -3.0, 0.0),
+        LinearPredicate("not P#1", {"x1": 1.0}, -math.inf, -1.5),
+        LinearPredicate("not P#2", {"x1": 1.0}, 2.0, math.inf),
+        LinearPredicate("not P#3", {"x2": 1.0}, -math.inf, -1.0),
+        LinearPredicate("not P#4", {"x2": 1.0}, 3.0, math.inf),
+    )
+    lot = Conjunction((Literal(0), Literal(1)))
+    assert scenario.regions == {"P": lot, "D": Literal(2), "O": Literal(3)}
+    assert scenario.side_information == Conjunction(
+        (Globally(0, 25 * SECOND, lot), Globally(25 * SECOND, 40 * SECOND, Literal(3)))
+    )
+    outside = Disjunction(tuple(map(Literal, range(4, 8))))
+    assert scenario.requirements == {"stays": Requirement(Globally(0, SECOND, lot), Finally(0, SECOND, outside))}
+    assert scenario.used == (0, 1, 3, 4, 5, 6, 7)
+    assert scenario.end_ns == 40 * SECOND
     assert isinstance(scenario.assume, Formula)
 
 
+def test_what_knows_nothing_of_time_ends_at_once() -> None:
+    assert Scenario.parse(DOCUMENT.replace("always[0:T](P) and\n  always[T:40 s](O)", "P or O")).end_ns == 0
+
+
 def test_a_region_may_name_those_above_it() -> None:
-    text = DOCUMENT.replace("assume:", "  Q: P and 0 <= x1 <= x2\nassume:")
-    assert [(p.name, p.states) for p in Scenario.parse(text).regions["Q"]] == [
-        ("Q.1", ("x1",)), ("Q.2", ("x2",)), ("Q.3", ("x1",)), ("Q.4", ("x1", "x2")),
-    ]  # fmt: skip
+    text = DOCUMENT.replace("assume:", "  Q: P and 0 <= x1 <= x2\n  R: not (P or D) -> x1 <= x2\nassume:")
+    scenario = Scenario.parse(text)
+    names = {name: [scenario.predicates[k].name for k in literals_in(form)] for name, form in scenario.regions.items()}
+    assert names["Q"] == ["P.x1", "P.x2", "Q.3", "Q.4"]
+    assert names["R"] == ["P.x1", "P.x2", "D", "Q.4"]
+
+
+def test_equal_predicates_are_one_and_names_are_unique() -> None:
+    text = DOCUMENT.replace("always[0:T](P)", "always[0:T](x1 >= -1.5 and -1.5 <= x1 <= 2 or not O and not in(O))")
+    scenario = Scenario.parse(text)
+    names = [predicate.name for predicate in scenario.predicates]
+    assert len(set(names)) == len(names)
+    assert names[4:7] == ["x1 >= -1.5", "not O#1", "not O#2"]
+    assert next(literals_in(scenario.side_information)) == 4
+    assert 0 in scenario.used
+
+
+def test_an_explosion_of_regions_is_refused() -> None:
+    regions = "".join(f"  R{k}: (R{k - 1} and x1 <= {k}) or (R{k - 1} and x1 >= {k})\n" for k in range(1, 60))
+    text = DOCUMENT.replace("assume:", f"  R0: x1 >= 0\n{regions}assume:")
+    with pytest.raises(ScenarioError, match=r"lot.yaml:\d+:\d+: the formula comes to more than 4096 parts"):
+        Scenario.parse(text, "lot.yaml")
+
+
+CONTINUOUS = DOCUMENT.replace("sampled", "continuous, speed: {x1: 2, x2: 1.5}")
+
+
+def test_continuous_semantics_have_a_speed() -> None:
+    scenario = Scenario.parse(CONTINUOUS)
+    assert (scenario.semantics, scenario.speed) == ("continuous", {"x1": 2.0, "x2": 1.5})
+    Scenario.parse(CONTINUOUS.replace("(P)", "(abs(x2 - 0.5*t) <= 1)"))
+
+
+def test_a_region_that_is_not_used_needs_no_speed() -> None:
+    text = CONTINUOUS.replace("(P)", "(O)").replace("x1: 2, ", "")
+    assert Scenario.parse(text).speed == {"x2": 1.5}
+
+
+@pytest.mark.parametrize("expression", ["x2 <= k", "norm(x1 - last(x1), x2) <= 1", "t - last(t) <= x2"])
+def test_continuous_semantics_do_not_speak_about_samples(expression: str) -> None:
+    text = CONTINUOUS.replace("always[0:1](P)", f"always[0:1]({expression})")
+    with pytest.raises(ScenarioError, match=r"^scenario:4:35: '.*' speaks about samples \(k, last\)"):
+        Scenario.parse(text)
 
 
 def test_a_scenario_can_go_to_another_process() -> None:
@@ -114,7 +188,7 @@ def test_a_file_is_loaded_and_named_in_errors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["nowhere", "parking-lot.yml", "", "a\0b", "../parking-lot"])
 def test_what_cannot_be_loaded_says_what_ships(name: str) -> None:
-    with pytest.raises(ScenarioError, match=r"cannot be read: .*expected a file or one of parking-lot, roundabout"):
+    with pytest.raises(ScenarioError, match=r"cannot be read: .*expected a file or one of .*parking-lot, .*roundabout"):
         Scenario.load(name)
 
 
@@ -133,6 +207,12 @@ def mutated() -> Iterator[st.SearchStrategy[str]]:
     yield st.tuples(places, st.integers(1, 9)).map(lambda cut: DOCUMENT[: cut[0]] + DOCUMENT[cut[0] + cut[1] :])
     yield st.text()
     yield st.lists(pieces).map(" ".join)
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    with suppress(ScenarioError):
+        Scenario.parse(data.decode("utf-8", "surrogateescape"))
 
 
 @given(st.one_of(*mutated()))
@@ -156,56 +236,6 @@ def test_instants_are_exact(text: str, nanoseconds: int) -> None:
     assert Scenario.parse(DOCUMENT.replace("on_start", f'"{text}"')).time_zero == nanoseconds
 
 
-def test_activity_at_the_boundaries_of_windows() -> None:
-    scenario = Scenario.parse(DOCUMENT)
-    for tau, active in (
-        (-1, [False, False, False]),
-        (0, [True, True, False]),
-        (25 * SECOND - 1, [True, True, False]),
-        (25 * SECOND, [True, True, True]),
-        (25 * SECOND + 1, [False, False, True]),
-        (40 * SECOND, [False, False, True]),
-        (40 * SECOND + 1, [False, False, False]),
-        (2**63 - 1, [False, False, False]),
-        (-(2**63), [False, False, False]),
-    ):
-        assert scenario.active(tau).tolist() == active, tau
-
-
-def test_slack_shortens_windows_from_both_ends() -> None:
-    scenario = Scenario.parse(DOCUMENT)
-    slack = 3_000_001
-    taus = np.array([slack - 1, slack, 25 * SECOND - slack, 25 * SECOND - slack + 1, 25 * SECOND, 25 * SECOND + slack])
-    assert scenario.active(taus, slack)[:, [0, 2]].tolist() == [
-        [False, False],
-        [True, False],
-        [True, False],
-        [False, False],
-        [False, False],
-        [False, True],
-    ]
-
-
-@given(
-    st.lists(st.integers(-(2**40), 2**40), min_size=1, max_size=5),
-    st.lists(st.integers(0, 2**36), min_size=1, max_size=4),
-)
-def test_activity_broadcasts_and_agrees_with_its_definition(taus: list[int], slacks: list[int]) -> None:
-    scenario = Scenario.parse(DOCUMENT)
-    active = scenario.active(np.array(taus)[:, None], np.array(slacks))
-    assert active.shape == (len(taus), len(slacks), 3)
-    for i, tau in enumerate(taus):
-        for j, slack in enumerate(slacks):
-            expected = [t.start_ns + slack <= tau <= t.end_ns - slack for t in scenario.predicates]
-            assert active[i, j].tolist() == expected
-
-
-@pytest.mark.parametrize(("tau", "slack"), [(0, -1), (0, 2**62 + 1), (0.5, 0), (0, 0.5)])
-def test_activity_is_about_whole_nanoseconds(tau: float, slack: float) -> None:
-    with pytest.raises(ValueError, match=r"integers of nanoseconds|between 0 and"):
-        Scenario.parse(DOCUMENT).active(np.array(tau), np.array(slack))
-
-
 def profile(state: str, maps_to: str) -> VehicleProfile:
     text = f"{{class: car, state: {state}, sample_time: 0.05, maps_to: {maps_to}, future_inputs: limits}}"
     return parse_profile(yaml.safe_load(text))
@@ -227,9 +257,48 @@ def test_state_indices() -> None:
             r"its state 'x2' is no state of class car \(x, y\): name its counterpart",
         ),
         ("{x1: m, x2: cm}", "{}", "its state 'x2' is in m, 'x2' of class car in cm"),
-        ("{x1: m, a: {unit: m, angle: true}}", "{x2: a}", "'a' of class car is an angle"),
+        ("{x1: m, a: {unit: m, angle: true}}", "{x2: a}", "its state 'x2' is an angle of class car, which 'P.x2' uses"),
     ],
 )
 def test_state_indices_that_there_are_not(state: str, maps_to: str, words: str) -> None:
     with pytest.raises(ScenarioError, match=f"^scenario lot: .*{words}"):
         Scenario.parse(DOCUMENT).state_indices(profile(state, maps_to))
+
+
+ANGLE = "{x1: m, x2: {unit: m, angle: true}}"
+
+
+@pytest.mark.parametrize(
+    "comparison",
+    [
+        "cos(x2 - 0.5) >= 0.9",
+        "x1*sin(2*x2 - last(x2) + t) + tan(-x2) >= 0",
+        "cos(x2*0.5*4 - sin(x2))*cos(last(x2)) >= 0",
+        "abs(sin(x2)) <= 0.5",
+    ],
+)
+def test_angles_may_stand_in_periodic_functions(comparison: str) -> None:
+    text = DOCUMENT.replace("(P)", f"({comparison})").replace("(O)", "(x1 >= 0)")
+    assert Scenario.parse(text).state_indices(profile(ANGLE, "{}")) == {"x1": 0, "x2": 1}
+
+
+@pytest.mark.parametrize(
+    "comparison",
+    [
+        "x2 >= 0",
+        "x1 + x2 >= 0",
+        "norm(x1, x2) <= 1",
+        "cos(x2/2) >= 0.9",
+        "sin(x2^2) >= 0",
+        "exp(x2) >= 3",
+        "cos(x2) >= last(x2)",
+        "sin(last(x2)*x2) >= 0",
+        "cos(x2) + min(x2, x1) >= 0",
+        "atan2(x2, x1) >= 0",
+    ],
+)
+def test_angles_may_stand_nowhere_else(comparison: str) -> None:
+    text = DOCUMENT.replace("always[0:1](P)", f"always[0:1]({comparison})").replace("(P)", "(x1 >= 0)")
+    scenario = Scenario.parse(text.replace("(O)", "(x1 >= 0)"))
+    with pytest.raises(ScenarioError, match="'x2' is an angle of class car"):
+        scenario.state_indices(profile(ANGLE, "{}"))

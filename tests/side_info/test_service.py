@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,6 +95,14 @@ def assignment(received: Received) -> tuple[str, str, int]:
     found = Assignment.decode(received.payload, received.encoding)
     assert received.key == keys.assignment(found.scenario, found.vehicle)
     return found.scenario, found.vehicle, found.time_zero
+
+
+def version(received: Received) -> int:
+    return ScenarioDocument.decode(received.payload, received.encoding).version
+
+
+def status(received: Received) -> ServiceStatus:
+    return ServiceStatus.decode(received.payload, received.encoding)
 
 
 def test_documents_are_published_as_they_were_written(session: zenoh.Session, viewer: zenoh.Session) -> None:
@@ -198,6 +207,99 @@ def test_the_service_is_seen_while_it_runs(session: zenoh.Session, viewer: zenoh
         assert seen.get(timeout=5.0) == ("svc/side-info/a", False)
 
 
+def test_a_changed_file_is_published_and_a_bad_one_refused(
+    session: zenoh.Session, viewer: zenoh.Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "lot.yaml"
+    path.write_text(DOCUMENT, encoding="utf-8")
+    second = DOCUMENT.replace("version: 1", "version: 2")
+    service = SideInfoService(session, [LOT, PLANNED], {}, "a", files={"lot": path})
+    with (
+        listening(viewer, keys.document("lot")) as get,
+        listening(viewer, keys.service_status("side-info", "a")) as get_status,
+        running(service),
+    ):
+        assert version(get()) == 1
+        path.write_text(DOCUMENT + "# a word more\n", encoding="utf-8")
+        wait_until(lambda: status(get_status()).refused == {"document_version": 1})
+        path.write_text(second, encoding="utf-8")
+        assert version(get()) == 2
+        path.unlink()
+        wait_until(lambda: "document_unreadable" in status(get_status()).refused)
+        last = status(get_status())
+    assert last.refused == {"document_version": 1, "document_unreadable": 1}
+    assert last.counters["documents_published"] == 3
+    assert (last.gauges["scenarios"], last.gauges["documents_behind"]) == (2, 1)
+
+
+def test_a_new_time_zero_moves_the_assignments(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "lot.yaml"
+    path.write_text(DOCUMENT, encoding="utf-8")
+    arrived: list[tuple[str, int, bool]] = []
+
+    def keep(received: Received) -> None:
+        if received.key.endswith("document"):
+            arrived.append(("document", version(received), True))
+        else:
+            found = Assignment.decode(received.payload, received.encoding)
+            arrived.append((found.vehicle, found.time_zero, found.active))
+
+    def write(version: int, zero: str) -> None:
+        text = DOCUMENT.replace("version: 1", f"version: {version}").replace("on_start", zero)
+        path.write_text(text, encoding="utf-8")
+
+    service = SideInfoService(session, [LOT], {"*": "lot", "svea2": "lot"}, "a", files={"lot": path})
+    with (
+        publisher(agent, "svea1") as states,
+        declare_recovering_subscriber(viewer, "spec/**", keep, history=10, late_publishers=True),
+        running(service),
+    ):
+        put(states, (1000, NEW))
+        wait_until(lambda: len(arrived) == 2)
+        assert sorted(arrived) == [("document", 1, True), ("svea1", 1000, True)]
+        arrived.clear()
+        write(2, '"2026-05-01T12:00:00Z"')
+        wait_until(lambda: len(arrived) == 4)
+        # svea1 is out of the scenario before the new document comes, and in it again afterwards.
+        assert arrived[:2] == [("svea1", 1000, False), ("document", 2, True)]
+        assert sorted(arrived[2:]) == [("svea1", PLANNED_ZERO, True), ("svea2", PLANNED_ZERO, True)]
+        arrived.clear()
+        write(3, "on_start")
+        wait_until(lambda: len(arrived) == 4)
+        # Of svea2 no start was seen.
+        assert sorted(arrived[:2]) == [("svea1", PLANNED_ZERO, False), ("svea2", PLANNED_ZERO, False)]
+        assert arrived[2:] == [("document", 3, True), ("svea1", 1000, True)]
+
+
+def test_who_comes_late_gets_the_newest_by_subscribing_and_by_a_plain_query(
+    session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "lot.yaml"
+    path.write_text(DOCUMENT, encoding="utf-8")
+    service = SideInfoService(session, [LOT, PLANNED], {"svea1": "planned"}, "a", files={"lot": path})
+    with listening(viewer, keys.document("lot")) as get, running(service):
+        assert version(get()) == 1
+        path.write_text(DOCUMENT.replace("version: 1", "version: 2"), encoding="utf-8")
+        assert version(get()) == 2
+        with listening(viewer, "spec/**") as get_late:
+            late = {received.key: received.payload for received in (get_late(), get_late(), get_late())}
+        for selector, found in (
+            ("spec/lot/document", {keys.document("lot")}),
+            ("spec/*/document", {keys.document("lot"), keys.document("planned")}),
+            ("spec/**", {keys.document("lot"), keys.document("planned"), keys.assignment("planned", "svea1")}),
+            ("spec/nowhere/document", set()),
+        ):
+            replies = [reply.ok for reply in agent.get(selector, timeout=5.0)]
+            answers = {str(ok.key_expr): ok.payload.to_bytes() for ok in replies if ok is not None}
+            assert answers == {key: late[key] for key in found}
+            assert len(replies) == len(found)
+        (reply,) = [reply.ok for reply in agent.get("spec/lot/document", timeout=5.0)]
+    assert reply is not None
+    assert ScenarioDocument.decode(reply.payload.to_bytes(), str(reply.encoding)).version == 2
+
+
 def test_the_status_comes_every_second(session: zenoh.Session, viewer: zenoh.Session) -> None:
     now = [10**18]
 
@@ -229,6 +331,8 @@ def test_an_assignment_to_what_is_not_loaded_is_refused(
 def test_other_refusals(session: zenoh.Session) -> None:
     with pytest.raises(ScenarioError, match="two scenarios have one name: lot, lot"):
         SideInfoService(session, [LOT, LOT], {}, "a")
+    with pytest.raises(ScenarioError, match=r"yard\.yaml: scenario 'yard' is not loaded: loaded are lot"):
+        SideInfoService(session, [LOT], {}, "a", files={"yard": Path("yard.yaml")})
     with pytest.raises(KeyIdError, match="'a b'"):
         SideInfoService(session, [LOT], {"a b": "lot"}, "a")
     with pytest.raises(KeyIdError, match="service id"):

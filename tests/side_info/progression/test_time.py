@@ -183,5 +183,3 @@ def test_nothing_is_lost_between_samples() -> None:
     # Both the margins and the windows matter: the test can fail.
     assert lost_as_if_sampled > 100
     assert lost_without_margin > 100
-
-

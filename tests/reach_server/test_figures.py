@@ -8,10 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import MultiPoint, Polygon, box
 
-from reach_server.predicates import CutTable
-from reach_server.results import EXTRA_GENERATORS, OUTLINE, enclosing, figures
+from reach_server.factor_sets import FactorSet
+from reach_server.figures import EXTRA_GENERATORS, OUTLINE, Figures, PlaneStrips, enclosing, figures, joined
+from reach_server.predicates import Literals
 from reach_server.sets.arrays import Array
-from reach_server.tube import FactorSet
+from side_info import LinearPredicate
 from tests.reach_server.ugly import (
     INHABITED,
     ROUNDING,
@@ -28,17 +29,16 @@ from tests.reach_server.ugly import (
 PLANE = (0, 1)
 
 
-def table(*cuts: tuple[list[float], float, float]) -> CutTable:
+def strips(*cuts: tuple[list[float], float, float]) -> PlaneStrips:
+    """One literal for each strip: (normal over the states, lower, upper)."""
     n = len(cuts[0][0]) if cuts else 2
-    return CutTable(
-        np.array([c[0] for c in cuts], dtype=np.float64).reshape(-1, n),
-        np.array([c[1] for c in cuts]),
-        np.array([c[2] for c in cuts]),
-        PLANE,
-        ("s",) * len(cuts),
-        tuple(range(len(cuts))),
-        tuple(f"p{i}" for i in range(len(cuts))),
-    )
+    literals = Literals(n, PLANE, np.zeros((n, 0)))
+    index = {f"s{i}": i for i in range(n)}
+    for number, (normal, lower, upper) in enumerate(cuts):
+        coefficients = {f"s{i}": c for i, c in enumerate(normal) if c}
+        predicate = LinearPredicate(f"p{number}", coefficients, lower, upper)
+        literals.add(predicate, index, scenario="s", name=predicate.name)
+    return PlaneStrips.of(literals, n, PLANE)
 
 
 def factor_set(case: Raw) -> FactorSet:
@@ -51,15 +51,15 @@ def none_act(count: int = 0) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
 
 @pytest.mark.parametrize("case", [c for c in INHABITED if c.n == 2][::2], ids=named)
 def test_figures_hold_the_set(case: Raw) -> None:
-    found = figures(factor_set(case), none_act(), table(), PLANE)
-    assert found.outline.shape == (1, OUTLINE, 2)
+    found = figures(factor_set(case), none_act(), strips(), PLANE)
+    assert found.outline().shape == (1, OUTLINE, 2)
     points = corners(case) if not len(case.A) else members(case, 3)
     relative = points - case.c
-    assert_outlines(found.outline[0], relative, case.size)
+    assert_outlines(found.outline()[0], relative, case.size)
     assert (found.hull[0, 0] <= relative.min(axis=0) + ROUNDING * case.size).all()
     assert (found.hull[0, 1] >= relative.max(axis=0) - ROUNDING * case.size).all()
     # As sent, in float32.
-    assert_outlines(found.outline[0].astype(np.float32).astype(np.float64), relative, case.size)
+    assert_outlines(found.outline()[0].astype(np.float32).astype(np.float64), relative, case.size)
     hull = MultiPoint(relative).convex_hull
     if not len(case.A):
         assert found.area[0] == pytest.approx(hull.area, rel=1e-6, abs=1e-12 * case.size**2)
@@ -85,12 +85,12 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
         kept &= (low <= heights) & (heights <= high)
     sets = FactorSet.zonotope(center, generators)
     acting = np.ones((1, count), dtype=bool)
-    found = figures(sets, acting, table(*cuts), PLANE)
-    free = figures(sets, ~acting, table(*cuts), PLANE)
+    found = figures(sets, acting, strips(*cuts), PLANE)
+    free = figures(sets, ~acting, strips(*cuts), PLANE)
     assert found.area[0] <= free.area[0] * (1 + 1e-9)
     if kept.any():
         relative = (points - center)[kept]
-        assert_outlines(found.outline[0], relative[:, :2], 1.0)
+        assert_outlines(found.outline()[0], relative[:, :2], 1.0)
         assert (found.hull[0, 0] <= relative.min(axis=0)).all()
         assert (found.hull[0, 1] >= relative.max(axis=0)).all()
         assert found.area[0] >= MultiPoint(relative[:, :2]).convex_hull.area * (1 - 1e-9)
@@ -99,7 +99,7 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
 def test_the_area_of_a_cut_zonotope_is_that_of_the_intersection() -> None:
     generators = np.array([[[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]])
     sets = FactorSet.zonotope(np.array([[2.0, 3.0]]), generators)
-    cuts = table(([1.0, 0.0], 1.5, 2.2), ([0.0, 1.0], -np.inf, 3.4))
+    cuts = strips(([1.0, 0.0], 1.5, 2.2), ([0.0, 1.0], -np.inf, 3.4))
     found = figures(sets, np.ones((1, 2), dtype=bool), cuts, PLANE)
     case = Raw("", sets.center[0], generators[0], np.zeros((0, 3)), np.zeros(0))
     exact = Polygon(MultiPoint(corners(case)).convex_hull.exterior).intersection(box(1.5, -10, 2.2, 3.4))
@@ -108,7 +108,7 @@ def test_the_area_of_a_cut_zonotope_is_that_of_the_intersection() -> None:
 
 def test_each_vehicle_is_clipped_by_its_own_cuts() -> None:
     sets = FactorSet.zonotope(np.zeros((3, 2)), np.broadcast_to(np.eye(2), (3, 2, 2)))
-    cuts = table(([1.0, 0.0], -0.5, 0.5), ([0.0, 1.0], -np.inf, 0.0))
+    cuts = strips(([1.0, 0.0], -0.5, 0.5), ([0.0, 1.0], -np.inf, 0.0))
     acting = np.array([[False, False], [True, False], [True, True]])
     found = figures(sets, acting, cuts, PLANE)
     np.testing.assert_allclose(found.area, [4.0, 2.0, 1.0])
@@ -127,3 +127,25 @@ def test_enclosing_zonotopes_enclose_with_a_diagonal_end(case: Raw) -> None:
     assert (reach(found, d) >= reach(case.G, d) * (1 - 1e-12)).all()
     last = found[:, -case.n :]
     np.testing.assert_array_equal(last, np.diag(np.diag(last)))
+
+
+@moderate
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_figures_of_unions_hold_every_set(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    owner = np.sort(np.concatenate([np.arange(2), rng.integers(0, 2, count)]))
+    sets = FactorSet.zonotope(rng.normal(size=(len(owner), 3)), rng.normal(size=(len(owner), 3, 4)))
+    each = figures(sets, np.zeros((len(owner), 0), dtype=bool), strips(), PLANE)
+    around = rng.normal(size=(2, 3))
+    found = joined(each, owner, sets.center, around, PLANE)
+    factors = np.sign(rng.uniform(-1, 1, (200, 4)))
+    for union in range(2):
+        points = np.concatenate(
+            [sets.center[i] + factors @ sets.generators[i].T for i in np.flatnonzero(owner == union)]
+        )
+        relative = points - around[union]
+        assert_outlines(found.outline()[union], relative[:, :2], 1.0)
+        assert (found.hull[union, 0] <= relative.min(axis=0)).all()
+        assert (found.hull[union, 1] >= relative.max(axis=0)).all()
+        assert found.area[union] <= each.area[owner == union].sum() * (1 + 1e-12)
+    assert isinstance(found, Figures)

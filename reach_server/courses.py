@@ -1,0 +1,194 @@
+"""How far the vehicles of a class are in a scenario: what its formulas still may ask for, sample by sample."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.rows import with_room
+from reach_server.windows import Ints
+from side_info import Scenario
+from side_info.progression import DEAD, Grid, Table
+
+#: Name of the formula that is taken as true, beside those of the requirements.
+ASSUME = ""
+
+Slots = NDArray[np.intp]
+#: (literals, rows (K,)) to their status (K, len(literals)): -1 where a literal surely does not hold.
+Status = Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.int8]]
+
+
+@dataclass(slots=True, eq=False)
+class Pursuit:
+    """Beliefs about one formula by slot (V,): ``before`` and ``after`` its newest sample (ids of a ``Table``)."""
+
+    roots: dict[Grid, int] = field(default_factory=dict)
+    before: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    after: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+class Course:
+    """One scenario and the vehicles that take part in it.
+
+    The grid of a vehicle begins at its time zero and has the step of its class; a sample belongs to its nearest point.
+    While all stamps lie on the grid the windows of the formulas are taken as they are. From the first that does not,
+    what has been measured is looked at once more, with windows for stamps that are up to half a step off. A place
+    without a sample, or with two, is passed without asking any predicate there.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        table: Table,
+        step_ns: int,
+        lead: int,
+        formulas: Mapping[str, Callable[[Grid, int], int]],
+    ) -> None:
+        self.scenario = scenario
+        self._table = table
+        self._step = step_ns
+        self._add = dict(formulas)
+        self._lead = lead
+        self.pursuits = {name: Pursuit() for name in formulas}
+        self.zero = np.zeros(0, dtype=np.int64)
+        self.assigned = np.zeros(0, dtype=bool)
+        self.contradicted = np.zeros(0, dtype=bool)
+        #: Whether the newest sample has a place of its own, so that predicates may be asked of it.
+        self.tested = np.zeros(0, dtype=bool)
+        self.slack = np.zeros(0, dtype=np.int64)
+        self._index = np.zeros(0, dtype=np.int64)
+        self._seen = np.zeros(0, dtype=np.int64)
+        self._jitters = np.zeros(0, dtype=bool)
+        self._started = np.zeros(0, dtype=bool)
+        #: Places before time zero from which on formulas are followed.
+        self._before = np.zeros(0, dtype=np.int64)
+        self._again: set[int] = set()
+
+    def grow(self, slots: int) -> None:
+        """Make room for ``slots`` vehicles."""
+        for name in (
+            "zero", "slack", "assigned", "contradicted", "tested",
+            "_index", "_seen", "_jitters", "_started", "_before",
+        ):  # fmt: skip
+            array = getattr(self, name)
+            setattr(self, name, with_room(array, slots, array))
+        for pursuit in self.pursuits.values():
+            pursuit.before = with_room(pursuit.before, slots, pursuit.before)
+            pursuit.after = with_room(pursuit.after, slots, pursuit.after)
+
+    def assign(self, slot: int, zero: int, slack: int) -> None:
+        """Let a vehicle take part, from its time zero (ns) known up to ``slack`` ns; the same again changes nothing."""
+        self.grow(slot + 1)
+        if self.assigned[slot] and (self.zero[slot], self.slack[slot]) == (zero, slack):
+            return
+        self.zero[slot], self.slack[slot] = zero, slack
+        self.assigned[slot], self.contradicted[slot] = True, False
+        self._jitters[slot] = False
+        self._restart(slot)
+        self._seen[slot] = np.iinfo(np.int64).min
+
+    def _root(self, name: str, slot: int) -> int:
+        """Belief of a vehicle about a formula at its first place."""
+        grid = self._grid(slot)
+        roots = self.pursuits[name].roots
+        if grid not in roots:
+            roots[grid] = self._table.belief([self._add[name](grid, int(self._before[slot]))])
+        return roots[grid]
+
+    def _grid(self, slot: int) -> Grid:
+        jitter = self._step // 2 if self._jitters[slot] else 0
+        return Grid(self._step, int(self.slack[slot]), self.scenario.semantics == "continuous", jitter)
+
+    def _restart(self, slot: int) -> None:
+        # Formulas are followed from as many places before time zero as may belong to them after all, and as the horizon
+        # has, so that tubes see time zero come.
+        self._before[slot] = self._lead + self._grid(slot).lead
+        self._index[slot], self._started[slot], self.tested[slot] = -self._before[slot] - 1, False, False
+        for name, pursuit in self.pursuits.items():
+            pursuit.before[slot] = pursuit.after[slot] = self._root(name, slot)
+
+    def take_over(self, other: "Course | None") -> None:
+        """Let the vehicles of an earlier document take part from their time zero on."""
+        if other is not None:
+            for slot in np.flatnonzero(other.assigned).tolist():
+                self.assign(slot, int(other.zero[slot]), int(other.slack[slot]))
+
+    def started(self, slots: Slots) -> NDArray[np.bool_]:
+        """Which of the vehicles (B,) have had a sample that formulas are followed from."""
+        return np.asarray(self._started[slots])
+
+    def resynchronise(self, slots: Slots, newest: Ints) -> None:
+        """Where the newest stamps (B,) say that a clock was set back, anything may have been measured meanwhile."""
+        back = self.assigned[slots] & (newest < self._seen[slots])
+        for slot, t in zip(slots[back].tolist(), newest[back].tolist(), strict=True):
+            self._restart(slot)
+            self._seen[slot] = t - 1
+
+    def unseen(self, slots: Slots, t: Ints) -> NDArray[np.bool_]:
+        """Whether samples of stamps ``t`` (B,) are new to the scenario."""
+        return np.asarray(self.assigned[slots] & (self._seen[slots] < t))
+
+    def see(self, slots: Slots, t: Ints, status: Status) -> NDArray[np.bool_]:
+        """Take in one sample each of some vehicles (B,), stamps ns; which of them contradict the scenario now.
+
+        ``status`` says what surely does not hold at the samples, by rows of ``slots``. Samples that have been seen, and
+        those before time zero, change nothing.
+        """
+        fresh = self.unseen(slots, t)
+        self._seen[slots[fresh]] = t[fresh]
+        index = (2 * (t - self.zero[slots]) + self._step) // (2 * self._step)
+        rows = np.flatnonzero(fresh & (index >= -self._before[slots]))
+        chosen = slots[rows]
+        strays = (t[rows] != self.zero[chosen] + index[rows] * self._step) & ~self._jitters[chosen]
+        self._jitters[chosen[strays]] = True
+        self._again.update(chosen[strays].tolist())
+        rows, chosen = rows[~strays], chosen[~strays]
+        repeated = index[rows] == self._index[chosen]
+        missing = np.maximum(index[rows] - self._index[chosen] - 1, 0)
+        for pursuit in self.pursuits.values():
+            self._pass(pursuit.before, pursuit.after, chosen, repeated, missing)
+            self._ask(pursuit, chosen[~repeated], rows[~repeated], status)
+        self.tested[chosen], self._index[chosen], self._started[chosen] = ~repeated, index[rows], True
+        lost = np.zeros(len(slots), dtype=bool)
+        lost[rows] = (self.pursuits[ASSUME].after[chosen] == DEAD) & ~self.contradicted[chosen]
+        return lost
+
+    def again(self) -> Slots:
+        """Vehicles whose samples have to be handed over once more, all that are still held; asks once."""
+        slots = np.array(sorted(self._again), dtype=np.intp)
+        self._again.clear()
+        for slot in slots.tolist():
+            self._restart(slot)
+        self._seen[slots] = np.iinfo(np.int64).min
+        return slots
+
+    def _pass(self, before: Ints, after: Ints, slots: Slots, repeated: NDArray[np.bool_], missing: Ints) -> None:
+        """Pass places without a sample, and those with another one."""
+        for slot in slots[repeated].tolist():
+            after[slot] = self._table.skip(int(before[slot]))
+        for row in np.flatnonzero(missing).tolist():
+            slot = int(slots[row])
+            after[slot] = self._table.skip(int(after[slot]), int(missing[row]))
+
+    def _ask(self, pursuit: Pursuit, slots: Slots, rows: Slots, status: Status) -> None:
+        """Go on with samples at their own places; one table look-up for vehicles in the same case."""
+        if not len(slots):
+            return
+        beliefs = pursuit.before[slots] = pursuit.after[slots]
+        literals = self.asked(beliefs)
+        pursuit.after[slots] = self.go_on(beliefs, literals, status(literals, rows) < 0)
+
+    def go_on(self, beliefs: Ints, literals: NDArray[np.intp], false: NDArray[np.bool_]) -> Ints:
+        """Beliefs (B,) after a sample at which ``false`` (B, K) of the ``literals`` (K,) surely do not hold."""
+        cases, inverse = np.unique(np.column_stack([beliefs, false]), axis=0, return_inverse=True)
+        after = [
+            self._table.after(belief, frozenset(literals[np.array(no, dtype=bool)].tolist()))
+            for belief, *no in cases.tolist()
+        ]
+        return np.array(after, dtype=np.int64)[inverse.ravel()]
+
+    def asked(self, beliefs: Ints) -> NDArray[np.intp]:
+        """Literals that some of the beliefs (B,) ask for now, ascending."""
+        found = frozenset[int]().union(*map(self._table.literals_of, np.unique(beliefs).tolist()))
+        return np.array(sorted(found), dtype=np.intp)

@@ -1,0 +1,78 @@
+"""What a predicate gives and needs: strips, the context it refers to, and the states that a set speaks about."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.sets.arrays import Array, Mask
+
+Status = NDArray[np.int8]
+#: What ``status`` says of a set: all of its states satisfy the predicate, some may, none does.
+HOLDS, MAY_HOLD, NEVER = 1, 0, -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """What predicates of R rows refer to besides the state.
+
+    ``t`` (R,): seconds since the scenario's time zero. ``k`` (R,): samples ahead of the last received one. ``last_t``
+    (R,): ``t`` of the last received sample. ``last_lower``, ``last_upper`` (R, n): a box around the true state at that
+    sample. Nothing is known where a number is NaN. All times may be off by up to ``t_slack`` seconds.
+    """
+
+    t: Array
+    k: Array
+    last_t: Array
+    last_lower: Array
+    last_upper: Array
+    t_slack: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strips:
+    """C strips ``lower <= normal·x <= upper`` for each of R sets: normal (C, n) or (R, C, n), lower and upper (C,) or
+    (R, C). An infinite bound does not bind; every bound is outer."""
+
+    normal: Array
+    lower: Array
+    upper: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blur:
+    """How far the true state at the time a predicate speaks about may be from the state that a set holds.
+
+    The true state at the sample is the set's plus ``noise`` (n, p) times factors from [-1, 1]; the predicate may speak
+    about a time up to ``margin`` seconds away, when each state has moved by at most ``motion`` (n,).
+    """
+
+    noise: Array
+    motion: Array
+    margin: float
+
+    @property
+    def generators(self) -> Array:
+        """Noise and motion, (n, p + n): without the coordinates that do not move."""
+        moving = np.flatnonzero(self.motion)
+        return np.concatenate([self.noise, np.diag(self.motion)[:, moving]], axis=1)
+
+    def still(self) -> "Blur":
+        """The motion alone, without noise."""
+        return Blur(np.zeros((len(self.motion), 0)), self.motion, self.margin)
+
+
+class Cutter(Protocol):
+    """A predicate over the states of a class, ready to be asked."""
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the strips depend neither on the set nor on the context."""
+
+    def status(self, center: Array, generators: Array, context: Context) -> Status:
+        """``HOLDS``, ``MAY_HOLD`` or ``NEVER`` (R,) for true states in zonotopes (R, n), (R, n, g)."""
+
+    def strips(self, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+        """Strips that hold for every state of the sets whose true state may satisfy the predicate; and where there
+        certainly is no such state, (R,)."""

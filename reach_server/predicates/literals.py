@@ -1,0 +1,129 @@
+"""The predicates that a vehicle class is asked about, compiled once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from reach_server.predicates.bounded import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
+from reach_server.predicates.cuts import Blur, Context, Cutter, Status, Strips
+from reach_server.predicates.fields import Field
+from reach_server.predicates.linear import FixedStrips, LinearCutter
+from reach_server.predicates.nonlinear import NonlinearCutter
+from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.intervals import EPS
+from side_info.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Entry:
+    scenario: str
+    name: str
+    cutter: Cutter
+
+
+class Literals:
+    """Predicates as literals of formulas, numbered from 0 in the order in which they came.
+
+    Args:
+        n: states of the class.
+        plane: the position states.
+        noise: generators (n, g) by which the states that the cut sets speak about may differ from the true ones, with
+            g = 0 for sets of true states; None or infinite where that is not known, so that no predicate can cut.
+    """
+
+    def __init__(self, n: int, plane: tuple[int, int] | None, noise: Array | None) -> None:
+        self._n = n
+        self.plane = plane
+        known = noise is not None and bool(np.isfinite(noise).all())
+        self._noise = np.array(noise, dtype=np.float64).reshape(n, -1) if known else None
+        self._entries: list[_Entry] = []
+        self._known: dict[tuple[object, ...], int] = {}
+
+    def add(
+        self,
+        predicate: Predicate,
+        index: Mapping[str, int],
+        *,
+        scenario: str,
+        name: str,
+        speed: Array | float = 0.0,
+        margin_ns: int = 0,
+    ) -> int:
+        """The number of a literal: ``predicate`` holds at some time up to ``margin_ns`` from the sample.
+
+        ``index`` gives the place of each of the scenario's states, ``speed`` (n,) bounds how fast states move, per
+        second; ``k`` and the last received state are those of the sample. The same literal again has the same number.
+        Raises ``ScenarioError`` for a predicate that cannot be compiled.
+        """
+        margin = margin_ns * 1e-9 * (1 + 4 * EPS)
+        motion = np.broadcast_to(np.asarray(speed, dtype=np.float64), (self._n,)) * margin
+        key = (scenario, name, margin_ns, motion.tobytes(), _content(predicate), tuple(sorted(index.items())))
+        if key not in self._known:
+            noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
+            cutter = self._compiled(predicate, index, Blur(noise, motion, margin))
+            self._known[key] = len(self._entries)
+            self._entries.append(_Entry(scenario, name, cutter))
+        return self._known[key]
+
+    @property
+    def count(self) -> int:
+        """How many literals there are."""
+        return len(self._entries)
+
+    def scenario(self, literal: int) -> str:
+        """The scenario that a literal belongs to."""
+        return self._entries[literal].scenario
+
+    def name(self, literal: int) -> str:
+        """The name of its predicate."""
+        return self._entries[literal].name
+
+    def fixed(self, literal: int) -> bool:
+        """Whether its strips depend neither on the set nor on the context."""
+        return self._noise is None or self._entries[literal].cutter.fixed
+
+    def status(self, ids: Sequence[int], center: Array, generators: Array, context: Context) -> Status:
+        """What literals (L,) come to on sets of *true* states (R, n), (R, n, g): (R, L).
+
+        1: holds of all states of the set, -1: of none, both certain; 0: not known.
+        """
+        found = np.zeros((len(center), len(ids)), dtype=np.int8)
+        for column, literal in enumerate(ids):
+            found[:, column] = self._entries[literal].cutter.status(center, generators, context)
+        return found
+
+    def strips(self, literal: int, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+        """Strips that hold for every state of the sets (R, n), (R, n, g) whose true state may satisfy the literal.
+
+        Outer bounds; ``empty`` (R,): there certainly is no such state.
+        """
+        if self._noise is None:
+            nothing = np.zeros(0)
+            return Strips(np.zeros((0, self._n)), nothing, nothing), np.zeros(len(center), dtype=bool)
+        return self._entries[literal].cutter.strips(center, generators, context)
+
+    def _compiled(self, predicate: Predicate, index: Mapping[str, int], blur: Blur) -> Cutter:
+        if isinstance(predicate, LinearPredicate):
+            normal = np.zeros((1, self._n))
+            for state, coefficient in predicate.coefficients.items():
+                normal[0, index[state]] += coefficient
+            bounds = np.array([predicate.lower]), np.array([predicate.upper])
+            return LinearCutter(FixedStrips(normal, *bounds, blur))
+        if isinstance(predicate, DiscPredicate):
+            cutter = NonlinearCutter(Field(disc_expression(predicate), index), self._n, blur)
+            return BoundedCutter(disc_strips(predicate, index, self._n, blur), cutter)
+        cutter = NonlinearCutter(Field(predicate.expression, index), self._n, blur)
+        region = ellipsoid_strips(cutter.field, self._n, blur)
+        return cutter if region is None else BoundedCutter(region, cutter)
+
+
+def _content(predicate: Predicate) -> tuple[object, ...]:
+    """What a predicate says, as a value that can be looked up."""
+    match predicate:
+        case LinearPredicate(_, coefficients, lower, upper):
+            return tuple(coefficients.items()), lower, upper
+        case DiscPredicate(_, center, radius):
+            return tuple(center.items()), radius
+        case NonlinearPredicate(_, expression):
+            return (expression,)
