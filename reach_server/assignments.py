@@ -162,8 +162,8 @@ class Assignments:
             for row in np.flatnonzero(course.see(slots[rows], t, status)).tolist():
                 slot = int(slots[rows[row]])
                 asked = course.asked(course.pursuits[ASSUME].before[[slot]])
-                false = asked[status(asked, np.array([row]))[0] < 0]
-                lost.append((slot, int(t[row]), tuple(false.tolist())))
+                false = asked[status(asked, np.array([row]))[0] < 0].tolist()
+                lost.append((slot, int(t[row]), course.needed(slot, false)))
         return lost
 
     def _status_of_received(

@@ -68,7 +68,11 @@ class Predictions:
     def check(
         self, batch: SampleBatch, slack: float, measurement: Floats, angles: tuple[int, ...]
     ) -> list[tuple[int, int, bool, float, bool]]:
-        """(row of the batch, slot, inside, excess, inside without cuts) of every prediction whose sample has come."""
+        """(row of the batch, slot, inside, excess, inside without cuts) of every prediction whose sample has come.
+
+        A sample that came sooner or later than predicted, within the ``slack``, is held against the set without cuts
+        only: side information may say something else at that instant.
+        """
         known = np.flatnonzero(batch.vehicle < len(self._place))
         known = known[self._place[batch.vehicle[known], 0] >= 0]
         checked: list[tuple[int, int, bool, float, bool]] = []
@@ -92,7 +96,10 @@ class Predictions:
             free = held.copy()
             missed = np.flatnonzero(~held)
             if len(missed):
-                free[missed], _ = inside(take(made.free, place[missed]), measurement, batch.x[rows[missed]], angles)
+                whole = take(made.free, place[missed])
+                free[missed], beyond = inside(whole, measurement, batch.x[rows[missed]], angles)
+                off = batch.t[rows[missed]] != made.t[place[missed]]
+                held[missed[off]], excess[missed[off]] = free[missed[off]], beyond[off]
             slots = batch.vehicle[rows].tolist()
             checked += zip(rows.tolist(), slots, held.tolist(), excess.tolist(), free.tolist(), strict=True)
         self._forget_unused()

@@ -179,6 +179,15 @@ class Course:
         literals = self.asked(beliefs)
         pursuit.after[slots] = self.go_on(beliefs, literals, status(literals, rows) < 0)
 
+    def needed(self, slot: int, false: list[int]) -> tuple[int, ...]:
+        """Of the literals that were false at the newest sample of a vehicle as few as contradict the scenario."""
+        before = int(self.pursuits[ASSUME].before[slot])
+        for literal in tuple(false):
+            fewer = frozenset(false) - {literal}
+            if self._table.after(before, fewer) == DEAD:
+                false = sorted(fewer)
+        return tuple(false)
+
     def go_on(self, beliefs: Ints, literals: NDArray[np.intp], false: NDArray[np.bool_]) -> Ints:
         """Beliefs (B,) after a sample at which ``false`` (B, K) of the ``literals`` (K,) surely do not hold."""
         cases, inverse = np.unique(np.column_stack([beliefs, false]), axis=0, return_inverse=True)

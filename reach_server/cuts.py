@@ -40,11 +40,12 @@ def cut_sets(
     What leaves certainly nothing is not applied; the caller drops such a branch.
     """
     empty, acted = np.zeros_like(asked), np.zeros_like(asked)
+    strips_acted = np.zeros(len(asked), dtype=np.intp)
     used = np.flatnonzero(asked.any(axis=0))
     found: list[tuple[int, Strips]] = []
-    # Cuts do not commute: a second pass lets the first ones profit from the later ones.
+    # Cuts do not commute: where several act, a second pass lets the first ones profit from the later ones.
     for repeated in range(2 if method == "zonotope" else 1):
-        if repeated and sum(s.lower.shape[-1] for _, s in found) < 2:
+        if repeated and not (strips_acted > 1).any():
             break
         for place, literal in enumerate(used.tolist()):
             if repeated:
@@ -56,9 +57,13 @@ def cut_sets(
                 found.append((literal, bounds))
             for c in range(bounds.lower.shape[-1]):
                 on = asked[:, literal] & ~empty[:, literal]
+                if repeated:
+                    on &= strips_acted > 1
                 sets, missed, cut = _cut(sets, bounds, c, on, method, n, plane)
                 empty[:, literal] |= missed
                 acted[:, literal] |= cut
+                if not repeated:
+                    strips_acted += cut
     if method == "constrained" and sets.matrix.shape[1]:
         infeasible = support.emptiness_certificate(sets.matrix, sets.offset)
         empty |= infeasible[:, None] & acted
@@ -102,14 +107,17 @@ def _cut(
     if method == "constrained":
         return _constrain(sets, normal, lower, upper)
     _, _, cut, missed = strips.strip_bounds(sets.center, sets.generators, normal, lower, upper)
-    if cut.any() or (method == "frobenius" and on.any()):
-        center, generators, missed = strips.intersect_strip(
-            sets.center, sets.generators, normal, lower, upper,
-            method="frobenius" if method == "frobenius" else "tight", plane=plane,
-        )  # fmt: skip
-        matrix = np.concatenate([sets.matrix, np.zeros((*sets.matrix.shape[:2], 1))], axis=2)
-        sets = FactorSet(center, generators, matrix, sets.offset)
-    return sets, missed, cut
+    rows = np.flatnonzero(on if method == "frobenius" else cut)
+    if not len(rows):
+        return sets, missed, cut
+    center = sets.center.copy()
+    generators = np.concatenate([sets.generators, np.zeros((*center.shape, 1))], axis=2)
+    matrix = np.concatenate([sets.matrix, np.zeros((*sets.matrix.shape[:2], 1))], axis=2)
+    center[rows], generators[rows], missed[rows] = strips.intersect_strip(
+        sets.center[rows], sets.generators[rows], normal[rows] if normal.ndim == 2 else normal, lower[rows],
+        upper[rows], method="frobenius" if method == "frobenius" else "tight", plane=plane,
+    )  # fmt: skip
+    return FactorSet(center, generators, matrix, sets.offset), missed, cut
 
 
 def _constrain(

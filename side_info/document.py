@@ -110,7 +110,8 @@ def read_fields(document: YamlText) -> ScenarioFields:
     try:
         return ScenarioFields.model_validate(document.fields)
     except ValidationError as error:
-        problem = error.errors()[0]
+        # What is unknown is often a missing key, misspelled.
+        problem = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
         path: Path = tuple(problem["loc"])
         kind = problem["type"]
         if kind == "missing":

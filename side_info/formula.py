@@ -253,6 +253,9 @@ def _check_arrow(branch: Tree[Token], excerpt: Excerpt, declared: Declarations) 
     if branch.data != "implies":
         return
     left, arrow, _ = branch.children
+    # In "P and x => 2" it is the last operand that stands beside the arrow.
+    while not isinstance(left, Token) and left.data in ("conjunction", "disjunction"):
+        left = left.children[-1]
     if isinstance(left, Token):
         number = left not in declared.regions
     else:

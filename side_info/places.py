@@ -49,5 +49,7 @@ def error_at(source: str, document: str, offset: int, problem: str) -> ScenarioE
     first = max(0, column - _SHOWN // 2)
     # A document may hold anything, and the message goes to a terminal.
     shown = "".join(c if c.isprintable() else " " for c in line[first : first + _SHOWN])
+    if first:
+        shown = "…" + shown[1:]
     number, place = line_and_column(document, offset)
     return ScenarioError(f"{source}:{number}:{place}: {problem}\n  {shown}\n  {' ' * (column - first)}^")

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 
 from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import add_down, add_up
 
 #: Lower and upper bounds of the same shape.
 Bounds = tuple[Array, Array]
@@ -17,7 +16,7 @@ Bounds = tuple[Array, Array]
 
 def add(a: Bounds, b: Bounds) -> Bounds:
     """``a + b``."""
-    return add_down(a[0], b[0]), add_up(a[1], b[1])
+    return _down(a[0] + b[0]), _up(a[1] + b[1])
 
 
 def subtract(a: Bounds, b: Bounds) -> Bounds:

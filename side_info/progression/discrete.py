@@ -12,6 +12,8 @@ whole formula at time zero, which is no sample where ``s + j > 0``; a literal th
 * Read at sample i, sample i + k is ``k·d ± 2j`` away, sample i itself exactly 0, and later samples come later. So a
   window of G from 0 on has sample i in it and needs no move of its beginning.
 * ``p U[a,b] q``: q at a sample w possibly in [a, b], p at w and all before that are surely not before the reading.
+* Where stamps jitter two samples may share a grid index. Then nothing is asked at that index, but that there is a
+  second one shows only when it comes. So F and U wait one index longer: then the last one of the window is over.
 
 *Continuous*: the formula speaks about every instant. ``W(φ, s, m)`` at sample k is what follows for the samples k,
 k + 1, … from φ at some instant t with ``|t - k·d| <= s`` and ``|t - τ_k| <= m``; at time zero it is W(φ, s, s + j):
@@ -104,11 +106,9 @@ class _Sampled:
                 inside = self.at_sample(operand)
                 return build.always_in(grid.ceil(start + off) + lead, grid.floor(end - off) + lead, inside)
             case Finally(start, end, operand):
-                first, last = max(grid.ceil(start - off) + lead, 0), grid.floor(end + off) + lead
-                return build.eventually_in(first, last, self.at_sample(operand))
+                return build.eventually_in(*self._witness(start, end, off, lead), self.at_sample(operand))
             case Until(start, end, left, right):
-                first, last = max(grid.ceil(start - off) + lead, 0), grid.floor(end + off) + lead
-                return self._until(first, last, grid.ceil(off) + lead, left, right)
+                return self._until(*self._witness(start, end, off, lead), grid.ceil(off) + lead, left, right)
         return _boolean(formula, self.at_zero, build)
 
     def at_sample(self, formula: Normal) -> int:
@@ -122,11 +122,15 @@ class _Sampled:
             case Globally(start, end, operand):
                 return build.always_in(grid.ceil(start + off), grid.floor(end - off), self.at_sample(operand))
             case Finally(start, end, operand):
-                first, last = max(grid.ceil(start - off), 0), grid.floor(end + off)
-                return build.eventually_in(first, last, self.at_sample(operand))
+                return build.eventually_in(*self._witness(start, end, off), self.at_sample(operand))
             case Until(start, end, left, right):
-                return self._until(max(grid.ceil(start - off), 0), grid.floor(end + off), 0, left, right)
+                return self._until(*self._witness(start, end, off), 0, left, right)
         return _boolean(formula, self.at_sample, build)
+
+    def _witness(self, start: int, end: int, off: int, lead: int = 0) -> tuple[int, int]:
+        """First and last sample that may be a witness in the window."""
+        more = 1 if self._grid.jitter_ns else 0
+        return max(self._grid.ceil(start - off) + lead, 0), self._grid.floor(end + off) + lead + more
 
     def _until(self, first: int, last: int, unasked: int, left: Normal, right: Normal) -> int:
         kept = self.at_sample(left)

@@ -218,9 +218,10 @@ def test_the_guide_shows_the_whole_example() -> None:
     assert EXAMPLE.read_text(encoding="utf-8") in blocks(DOCS / "how-to" / "read-a-tube.md", "python")
 
 
-def test_the_example_knows_nothing_of_this_project() -> None:
+@pytest.mark.parametrize("path", sorted((DOCS / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_the_examples_know_nothing_of_this_project(path: Path) -> None:
     imported = set()
-    for node in ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             imported |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -318,3 +318,24 @@ def test_verdicts_do_not_depend_on_the_side_information_being_true() -> None:
     watched.made.assign(0, Scenario.parse(MONITORED), START, 0.0)
     assert watched.see(0, 0.0, [0.0, 0.0, 200.0])
     assert verdicts(watched, np.zeros(5), 0.1, START)["m.stays"] == "satisfied"
+
+
+def test_a_second_sample_at_the_last_place_of_a_window_may_be_the_witness() -> None:
+    watched = Watched()
+    watched.made.assign(0, scenario("eventually[0:540 ms](x1 >= 1)"), START, 0.0)
+    for seconds in (0.0, 0.1, 0.2, 0.31, 0.385, 0.46):
+        assert not watched.see(0, seconds)
+    assert not watched.see(0, 0.53, [0.0, 1.0, 0.0])
+    assert not watched.see(0, 0.6)
+    assert not watched.see(0, 0.7)
+    none = Watched()
+    none.made.assign(0, scenario("eventually[0:540 ms](x1 >= 1)"), START, 0.0)
+    events = [e for k in range(9) for e in none.see(0, k / 10 + 0.005)]
+    assert len(events) == 1
+
+
+def test_only_what_is_needed_for_the_contradiction_is_named() -> None:
+    watched = Watched()
+    watched.made.assign(0, scenario("always[0:5 s](x1 <= 1) and eventually[0:5 s](x1 >= 3)"), START, 0.0)
+    (event,) = watched.see(0, 0.0, [0.0, 2.0, 0.0])
+    assert event.details["predicate"] == "x1 <= 1"

@@ -152,7 +152,7 @@ monitor: {stays: "always[0:1](P)"}
 #: old text, new text, line, column, words of the message
 DOCUMENTS: Final = [
     ("version: 1\n", "", 1, 1, "the key 'version' is missing"),
-    ("assume", "asume", 1, 1, "the key 'assume' is missing"),
+    ("assume", "asume", 10, 1, "unknown key 'asume': expected one of scenario, version, state, time"),
     ("monitor", "monitors", 12, 1, "unknown key 'monitors': expected one of scenario, version, state, time"),
     ("scenario: lot", "scenario: a/b", 1, 11, "scenario: String should match"),
     ("scenario: lot", "scenario: 12", 1, 11, "scenario: Input should be a valid string"),
@@ -211,7 +211,8 @@ DOCUMENTS: Final = [
     ("P: {box", "norm: {box", 7, 3, "'norm' is a word of the language"),
     ("{disc: {", "{text: P, disc: {", 8, 6, "expected one of box, disc and text"),
     ("radius: 2", "radius: 0", 8, 48, "regions.D.disc.radius: Input should be greater than 0"),
-    ("radius: 2", "radios: 2", 8, 13, "the key 'radius' is missing"),
+    ("radius: 2", "radios: 2", 8, 40, "unknown key 'radios': expected one of center, radius"),
+    (", radius: 2", "", 8, 13, "the key 'radius' is missing"),
     ("radius: 2", "radius: 2, unit: m", 8, 51, "unknown key 'unit': expected one of center, radius"),
     ("center: {x1: 0, x2: 0.5}", "center: {x1: 0}", 8, 22, "at least 2 items"),
     ("center: {x1: 0, x2: 0.5}", "center: {x1: 0, y: 0.5}", 8, 30, "'y' is not declared"),

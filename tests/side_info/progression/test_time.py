@@ -53,9 +53,9 @@ def test_windows_of_samples_that_jitter() -> None:
     jitter = Grid(step_ns=10, jitter_ns=5)
     assert text(Globally(0, 30, A), jitter) == "always[1:2](a)"
     # Read at a sample, a window from 0 on has that sample in it.
-    assert text(Finally(0, 30, Globally(0, 30, A)), jitter) == "eventually[0:3](always[0:2](a))"
-    assert text(Finally(0, 30, Globally(10, 30, A)), jitter) == "eventually[2:5](a)"
-    assert text(Globally(0, 30, Finally(10, 30, A)), jitter) == "always[1:2](eventually[0:4](a))"
+    assert text(Finally(0, 30, Globally(0, 30, A)), jitter) == "eventually[0:4](always[0:2](a))"
+    assert text(Finally(0, 30, Globally(10, 30, A)), jitter) == "eventually[2:6](a)"
+    assert text(Globally(0, 30, Finally(10, 30, A)), jitter) == "always[1:2](eventually[0:5](a))"
 
 
 def test_windows_of_continuous_time() -> None:
