@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from fleet_bus.messages import Cut, EventKind, VehicleProfile
 from reach_server.courses import ASSUME, Course
 from reach_server.cuts import Contexts
-from reach_server.predicates import Context, Literals
+from reach_server.predicates import Context, Literals, Series
 from reach_server.results import EngineEvent
 from reach_server.rows import take, with_room
 from reach_server.sets.arrays import Array
-from reach_server.tube import MOST_BRANCHES
+from reach_server.tube import MOST_BRANCHES, StepContexts
 from reach_server.verdicts import verdict
 from reach_server.windows import Block, Floats, Ints
 from side_info import Scenario
@@ -53,7 +53,7 @@ class Assignments:
         self, profile: VehicleProfile, noise: Array | None, received: Array | None, horizon: int | None = None
     ) -> None:
         self._profile = profile
-        self._horizon = horizon or profile.horizon
+        self.horizon = horizon or profile.horizon
         n = len(profile.state)
         self.plane = profile.position if n >= 2 and profile.position[0] != profile.position[1] else None
         self.table = Table()
@@ -93,10 +93,14 @@ class Assignments:
             return self.table.add(normals[formula], grid, literal, lead=lead)
 
         formulas = {name: partial(root, name) for name in normals}
-        course = Course(scenario, self.table, self._profile.sample_time_ns, self._horizon + 1, formulas)
+        course = Course(scenario, self.table, self._profile.sample_time_ns, self.horizon + 1, formulas)
         course.take_over(before)
         self._courses[scenario.name] = course
         return course
+
+    def course(self, scenario: str) -> Course:
+        """A scenario of the class and how far its vehicles are in it."""
+        return self._courses[scenario]
 
     def unassign(self, slot: int, scenario: str) -> None:
         """Let a scenario no longer cut a vehicle."""
@@ -172,7 +176,8 @@ class Assignments:
         if self._received is None:
             return np.zeros((len(rows), len(literals)), dtype=np.int8)
         half = np.abs(self._received).sum(axis=1)
-        context = self._context(course, Instants(slots[rows], t[rows], x[rows] - half, x[rows] + half), 0)
+        instants = Instants(slots[rows], t[rows], x[rows] - half, x[rows] + half)
+        context = self.context(course, instants, np.zeros(len(rows), dtype=np.intp))
         generators = np.broadcast_to(self._received, (len(rows), *self._received.shape))
         return self.literals.status(literals.tolist(), x[rows], generators, context)
 
@@ -203,19 +208,16 @@ class Assignments:
             joint = self.table.antichain([weaker[o] for o in joint])
         return () if joint == (TRUE,) else joint
 
-    def contexts(self, instants: Instants, k: int, row: Slots) -> Contexts:
-        """What predicates refer to ``k`` steps after the instants, for sets of rows (R,) of them."""
+    def contexts(self, instants: Instants) -> StepContexts:
+        """What predicates refer to at the instants and after them."""
+        return _Ahead(self, instants)
 
-        def of(literal: int, rows: Slots) -> Context:
-            return self._context(self._courses[self.literals.scenario(literal)], take(instants, row[rows]), k)
-
-        return of
-
-    def _context(self, course: Course, instants: Instants, k: int) -> Context:
+    def context(self, course: Course, instants: Instants, k: NDArray[np.intp]) -> Context:
+        """What the predicates of a scenario refer to ``k`` (B,) steps after the instants."""
         last = (instants.t - course.zero[instants.slots]) / 1e9
-        t = last + k * self._profile.sample_time_ns / 1e9
+        t = last + k * (self._profile.sample_time_ns / 1e9)
         slack = float(course.slack[instants.slots].max(initial=0)) / 1e9
-        return Context(t, np.full(len(t), float(k)), last, instants.lower, instants.upper, slack)
+        return Context(t, k.astype(np.float64), last, instants.lower, instants.upper, slack)
 
     def verdicts(self, instants: Instants, sets: Sequence[tuple[Array, Array]]) -> tuple[Mapping[str, str], ...]:
         """For each vehicle (B,) what its requirements come to on sets of true states, (center, generators) at steps 1
@@ -242,7 +244,7 @@ class Assignments:
             literals = course.asked(beliefs)
             false = np.zeros((len(rows), len(literals)), dtype=bool)
             if len(literals) and self._received is not None:
-                context = self.contexts(instants, k, rows)(int(literals[0]), np.arange(len(rows)))
+                context = self.context(course, take(instants, rows), np.full(len(rows), k))
                 false = self.literals.status(literals.tolist(), center[rows], generators[rows], context) < 0
             beliefs = course.go_on(beliefs, literals, false)
             ahead.append(beliefs)
@@ -284,3 +286,31 @@ class Assignments:
                 ranges[key] = (min(first, step + 1), max(last, step + 1))
             described.append(tuple(Cut(name, predicate, *span) for (name, predicate), span in ranges.items()))
         return tuple(described)
+
+
+class _Ahead:
+    """Contexts of the steps of a horizon: one series for each scenario that is asked for."""
+
+    def __init__(self, assignments: Assignments, instants: Instants) -> None:
+        self._assignments = assignments
+        self._instants = instants
+        self._series: dict[str, Series] = {}
+
+    def __call__(self, k: int, track: Slots) -> Contexts:
+        """At step ``k``, for sets of rows (R,) of the instants."""
+        return partial(self._of, k, track)
+
+    def _of(self, k: int, row: Slots, literal: int, rows: Slots) -> Context:
+        made, count = self._assignments, len(self._instants.slots)
+        scenario = made.literals.scenario(literal)
+        if scenario not in self._series:
+            steps = made.horizon + 1
+            every = take(self._instants, np.tile(np.arange(count), steps))
+            whole = made.context(made.course(scenario), every, np.repeat(np.arange(steps), count))
+            self._series[scenario] = Series(whole)
+        whole = self._series[scenario].context
+        place = k * count + row[rows]
+        return Context(
+            whole.t[place], whole.k[place], whole.last_t[place], whole.last_lower[place], whole.last_upper[place],
+            whole.t_slack, self._series[scenario], place,
+        )  # fmt: skip

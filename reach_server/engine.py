@@ -249,10 +249,14 @@ class Engine:
 
     def _knowledge(self, tracks: Tracks, instants: Instants) -> Knowledge:
         side = self._assignments
+        contexts = side.contexts(instants)
         return Knowledge(
-            side.table, side.literals, lambda k, track: side.contexts(instants, k, tracks.vehicle[track]),
-            self.profile.cuts, side.plane,
-        )  # fmt: skip
+            side.table,
+            side.literals,
+            lambda k, track: contexts(k, tracks.vehicle[track]),
+            self.profile.cuts,
+            side.plane,
+        )
 
     def _recursion(self, served: _Served) -> tuple[Recursion, FactorSet]:
         known = served.known

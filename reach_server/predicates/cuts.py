@@ -1,7 +1,7 @@
 """What a predicate gives and needs: strips, the context it refers to, and the states that a set speaks about."""
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ class Context:
 
     ``t`` (R,): seconds since the scenario's time zero. ``k`` (R,): samples ahead of the last received one. ``last_t``
     (R,): ``t`` of the last received sample. ``last_lower``, ``last_upper`` (R, n): a box around the true state at that
-    sample. Nothing is known where a number is NaN. All times may be off by up to ``t_slack`` seconds.
+    sample. Nothing is known where a number is NaN. All times may be off by up to ``t_slack`` seconds. Rows may be the
+    rows ``place`` (R,) of a ``series``: what depends on the context alone is then computed for all of them at once.
     """
 
     t: Array
@@ -28,6 +29,16 @@ class Context:
     last_lower: Array
     last_upper: Array
     t_slack: float = 0.0
+    series: "Series | None" = None
+    place: NDArray[np.intp] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A context of many rows, and what predicates have found out about it, by predicate."""
+
+    context: Context
+    found: dict[Any, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

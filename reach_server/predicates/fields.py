@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 
 from reach_server.predicates.cuts import Context
 from reach_server.predicates.rules import Bounds, holds_zero
@@ -29,7 +30,7 @@ class Jet:
     hessian: Bounds
     smooth: Mask
 
-    def __getitem__(self, rows: slice | Mask) -> "Jet":
+    def __getitem__(self, rows: "slice | Mask | NDArray[np.intp]") -> "Jet":
         return Jet(
             _rows(self.value, rows), _rows(self.gradient, rows), _rows(self.hessian, rows), self.smooth[rows]
         )  # fmt: skip
@@ -42,7 +43,7 @@ class Field:
     """h as a function of the s states at ``places``, of time and of what was received last.
 
     ``affine``: its Hessian is zero; ``quadratic``: its Hessian is constant and h depends on states alone; ``timed``:
-    it depends on time.
+    it depends on time; ``everywhere``: it is defined whatever the state is.
     """
 
     def __init__(self, expression: Expression, index: Mapping[str, int]) -> None:
@@ -56,6 +57,7 @@ class Field:
         hessian, _ = casadi.hessian(graph.value, graph.states)
         self.affine = hessian.nnz() == 0
         self.quadratic = not graph.given and not graph.domain and not casadi.depends_on(hessian, graph.states)
+        self.everywhere = not graph.domain
         self.timed = "t" in graph.given or "last t" in graph.given
 
     @property
@@ -123,7 +125,7 @@ def _tapes(graph: Symbolic) -> tuple[Tape, Tape, Tape]:
     return values, slopes, curves
 
 
-def _rows(bounds: Bounds, rows: slice | Mask) -> Bounds:
+def _rows(bounds: Bounds, rows: "slice | Mask | NDArray[np.intp]") -> Bounds:
     return bounds[0][rows], bounds[1][rows]
 
 

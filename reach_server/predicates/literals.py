@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reach_server.predicates.affine import AffineCutter, affine_in_states
 from reach_server.predicates.bounded import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
 from reach_server.predicates.cuts import Blur, Context, Cutter, Status, Strips
 from reach_server.predicates.fields import Field
@@ -113,7 +114,10 @@ class Literals:
         if isinstance(predicate, DiscPredicate):
             cutter = NonlinearCutter(Field(disc_expression(predicate), index), self._n, blur)
             return BoundedCutter(disc_strips(predicate, index, self._n, blur), cutter)
-        cutter = NonlinearCutter(Field(predicate.expression, index), self._n, blur)
+        field = Field(predicate.expression, index)
+        if affine_in_states(predicate.expression) and field.everywhere and field.places:
+            return AffineCutter(field, self._n, blur)
+        cutter = NonlinearCutter(field, self._n, blur)
         region = ellipsoid_strips(cutter.field, self._n, blur)
         return cutter if region is None else BoundedCutter(region, cutter)
 

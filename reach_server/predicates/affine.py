@@ -1,0 +1,110 @@
+"""Predicates ``h >= 0`` with h affine in the state, its coefficients given by the context.
+
+For any point p, ``h(x) = h(p) + J (x - p)``, where h(p) and J depend on the context alone. So they are enclosed once
+for all steps of a horizon (``Series``), with p the middle of the last received state. With a the midpoint of J, for
+true states x of the zonotope ``<c, G>``,
+
+    h(x) <= h(p) + a·(c - p) + |J - a| (|c - p| + |G|₁) + a·(x - c) ,
+
+which is used as in ``nonlinear``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from reach_server.predicates.cuts import Blur, Context, Status, Strips
+from reach_server.predicates.expansion import Above
+from reach_server.predicates.fields import Jet
+from reach_server.predicates.linear import status_of
+from reach_server.predicates.nonlinear import NonlinearCutter
+from reach_server.predicates.remainders import middle
+from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.intervals import EPS
+from side_info.expression import Expression, Name, Negation, Product, Sum, names_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AffineCutter(NonlinearCutter):
+    """The predicate that a ``field`` that is affine in the states, and defined everywhere, is not negative."""
+
+    def status(self, center: Array, generators: Array, context: Context) -> Status:
+        """See ``Cutter``: by bounds of h over the set."""
+        with np.errstate(all="ignore"):
+            moved = self._above(center, generators, context, self.blur.still(), 1.0)
+            still = self._above(center, generators, context, None, -1.0)
+            return status_of(still.greatest <= 0, moved.negative)
+
+    def strips(self, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+        """See ``Cutter``: normal (R, 1, n), a half-space from below."""
+        places = list(self.field.places)
+        with np.errstate(all="ignore"):
+            above = self._above(center, generators, context, self.blur, 1.0)
+            height = (above.normal * center[:, places]).sum(axis=1)
+            blurred = np.abs(above.normal @ self.blur.generators[places]).sum(axis=1)
+            rounding = _rounding(len(places), self.blur.generators.shape[1])
+            level = height - above.top - blurred - rounding * (above.size + blurred)
+        wide = np.zeros((len(center), 1, self.n))
+        wide[:, 0, places] = above.normal
+        lower = np.where(np.isfinite(level), level, -np.inf)[:, None]
+        return Strips(wide, lower, np.full_like(lower, np.inf)), above.negative
+
+    def _above(self, center: Array, generators: Array, context: Context, blur: Blur | None, sign: float) -> Above:
+        """A linear function that is nowhere on the true states of the sets less than ``sign`` h."""
+        places = list(self.field.places)
+        middle_of, columns = center[:, places], generators[:, places]
+        if blur is not None:
+            more = blur.generators[places]
+            columns = np.concatenate([columns, np.broadcast_to(more, (len(center), *more.shape))], axis=2)
+        point, jet = self._coefficients(context, len(center), None if blur is None else blur.margin)
+        jet = jet if sign > 0 else -jet
+        normal, uncertain = middle(jet.gradient)
+        half = np.abs(columns).sum(axis=2)
+        far = np.abs(middle_of - point) + half
+        value, doubt = jet.value[1], (uncertain * far).sum(axis=1)
+        reached = np.abs((normal[:, None] @ columns)[:, 0]).sum(axis=1)
+        size = np.abs(value) + doubt + (np.abs(normal) * (np.abs(middle_of) + np.abs(point) + half)).sum(axis=1)
+        margin = _rounding(len(places), columns.shape[2]) * size
+        top = value + (normal * (middle_of - point)).sum(axis=1) + doubt + margin
+        known = jet.smooth & np.isfinite(top)
+        normal, top = np.where(known[:, None], normal, 0.0), np.where(known, top, np.inf)
+        greatest = np.where(known, top + reached + margin, np.inf)
+        return Above(normal, top, greatest, np.where(known, size, 0.0), np.zeros(len(center)))
+
+    def _coefficients(self, context: Context, rows: int, margin: float | None) -> tuple[Array, Jet]:
+        """A point (R, s), and h there with its gradient, for the rows of a context."""
+        if context.series is None or context.place is None:
+            return self._evaluated(context, rows, margin)
+        key = self, margin
+        if key not in context.series.found:
+            whole = context.series.context
+            context.series.found[key] = self._evaluated(whole, len(whole.t), margin)
+        point, jet = context.series.found[key]
+        return point[context.place], jet[context.place]
+
+    def _evaluated(self, context: Context, rows: int, margin: float | None) -> tuple[Array, Jet]:
+        places = list(self.field.places)
+        point = context.last_lower[:, places] / 2 + context.last_upper[:, places] / 2
+        point = np.where(np.isfinite(point), point, 0.0)
+        given = self.field.given(context, rows, margin)
+        return point, self.field.jet(point, point, given, curved=False)
+
+
+def _rounding(states: int, columns: int) -> float:
+    """What sums and products over this many states and generators lose, relative to the sum of their absolute terms:
+    one EPS for each of them, with room to spare."""
+    return (16 + 4 * states + columns) * EPS
+
+
+def affine_in_states(expression: Expression) -> bool:
+    """Whether an expression is affine in the states as it is written; a Hessian of zero would not tell of jumps."""
+    match expression:
+        case Name():
+            return True
+        case Sum(terms):
+            return all(map(affine_in_states, terms))
+        case Negation(operand):
+            return affine_in_states(operand)
+        case Product(factors):
+            return sum(bool(names_of(f)) for f in factors) <= 1 and all(map(affine_in_states, factors))
+    return not names_of(expression)
