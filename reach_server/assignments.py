@@ -159,10 +159,15 @@ class Assignments:
     def _see(self, course: Course, slots: Slots, samples: Block) -> list[tuple[int, int, tuple[int, ...]]]:
         """Samples oldest first; (slot, stamp, literals) where a scenario was contradicted."""
         lost: list[tuple[int, int, tuple[int, ...]]] = []
-        for column in range(samples.t.shape[1]):
+        count = samples.t.shape[1]
+        own = np.array([i for i in range(self.literals.count) if self.literals.scenario(i) == course.scenario.name])
+        t, x = samples.t.reshape(-1), samples.x.reshape(-1, samples.x.shape[2])
+        known = self._status_of_received(course, t, x, np.repeat(slots, count), own.astype(np.intp))
+        by_sample = known.reshape(len(slots), count, len(own))
+        for column in range(count):
             rows = np.flatnonzero(samples.valid[:, column])
-            t, x = samples.t[rows, column], samples.x[rows, column]
-            status = partial(self._status_of_received, course, t, x, slots[rows])
+            t = samples.t[rows, column]
+            status = partial(_looked_up, by_sample[rows, column], own)
             for row in np.flatnonzero(course.see(slots[rows], t, status)).tolist():
                 slot = int(slots[rows[row]])
                 asked = course.asked(course.pursuits[ASSUME].before[[slot]])
@@ -171,15 +176,15 @@ class Assignments:
         return lost
 
     def _status_of_received(
-        self, course: Course, t: Ints, x: Floats, slots: Slots, literals: Slots, rows: Slots
+        self, course: Course, t: Ints, x: Floats, slots: Slots, literals: Slots
     ) -> NDArray[np.int8]:
+        """Status (R, L) of literals at samples (R,)."""
         if self._received is None:
-            return np.zeros((len(rows), len(literals)), dtype=np.int8)
+            return np.zeros((len(t), len(literals)), dtype=np.int8)
         half = np.abs(self._received).sum(axis=1)
-        instants = Instants(slots[rows], t[rows], x[rows] - half, x[rows] + half)
-        context = self.context(course, instants, np.zeros(len(rows), dtype=np.intp))
-        generators = np.broadcast_to(self._received, (len(rows), *self._received.shape))
-        return self.literals.status(literals.tolist(), x[rows], generators, context)
+        context = self.context(course, Instants(slots, t, x - half, x + half), np.zeros(len(t), dtype=np.intp))
+        generators = np.broadcast_to(self._received, (len(t), *self._received.shape))
+        return self.literals.status(literals.tolist(), x, generators, context)
 
     def obligations(self, slots: Slots) -> tuple[Slots, NDArray[np.int64], NDArray[np.bool_]]:
         """What the scenarios ask of vehicles (B,) from their newest sample on: row (R,) of ``slots``, ascending, and
@@ -286,6 +291,11 @@ class Assignments:
                 ranges[key] = (min(first, step + 1), max(last, step + 1))
             described.append(tuple(Cut(name, predicate, *span) for (name, predicate), span in ranges.items()))
         return tuple(described)
+
+
+def _looked_up(known: NDArray[np.int8], own: Slots, literals: Slots, rows: Slots) -> NDArray[np.int8]:
+    """Status (K, L) of some literals at some rows, out of that of all of a scenario's ``own`` at all rows."""
+    return known[rows][:, np.searchsorted(own, literals)]
 
 
 class _Ahead:

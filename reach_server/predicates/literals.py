@@ -90,7 +90,7 @@ class Literals:
         1: holds of all states of the set, -1: of none, both certain; 0: not known.
         """
         found = np.zeros((len(center), len(ids)), dtype=np.int8)
-        for column, literal in enumerate(ids):
+        for column, literal in enumerate(ids if len(center) else ()):
             found[:, column] = self._entries[literal].cutter.status(center, generators, context)
         return found
 
