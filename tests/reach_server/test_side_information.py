@@ -7,16 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.formulas import Atoms, random_tree, satisfied, text_of
 from fleet_bus.messages import EventKind, VehicleProfile
 from reach_server.engine import Engine
 from reach_server.windows import Floats, SampleBatch
 from side_info import Scenario
 from tests.reach_server.drives import START, SVEA, World, inside, noise
-from tests.reach_server.formulas import Atoms, random_tree, satisfied, text_of
 
 WORLD = World()
 DRIVES, NOW, SAMPLES = 160, 60, 130
 HORIZON = 10
+STEP_MS = round(SVEA.dt * 1000)
 #: Samples after time zero that are streamed.
 STREAMED = 40
 
@@ -105,7 +106,7 @@ def test_satisfying_trajectories_never_leave_the_tube(seed: int) -> None:
         which = np.flatnonzero(satisfied(tree, x, NOW, atoms))
     which = which[:24]
     engine = copy.deepcopy(filled(["zonotope", "constrained", "frobenius"][seed % 3]))
-    side = scenario(text_of(tree, atoms))
+    side = scenario(text_of(tree, atoms, STEP_MS))
     for d in which:
         engine.assign(f"car-{d}", side, START + NOW * SVEA.dt_ns)
     checked, outside, events, ratio = stream(engine, which)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.reach_server.drives import SVEA, Floats
-
+Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 #: ("atom", number) | ("not" | "and" | "or", …) | ("always" | "eventually", a, b, φ) | ("until", a, b, φ, ψ), in steps
 Tree = tuple[Any, ...]
@@ -62,24 +61,24 @@ def random_tree(rng: random.Random, depth: int, atoms: Atoms) -> Tree:
     return (kind, a, b, *parts)
 
 
-def text_of(tree: Tree, atoms: Atoms) -> str:
-    """The formula in the language of scenarios, windows in the sample time of the simulated vehicles."""
+def text_of(tree: Tree, atoms: Atoms, step_ms: int) -> str:
+    """The formula in the language of scenarios, with steps of so many milliseconds."""
     match tree:
         case ("atom", number):
             return f"({atoms.text(number)})"
         case ("not", operand):
-            return f"not {text_of(operand, atoms)}"
+            return f"not {text_of(operand, atoms, step_ms)}"
         case ("and" | "or" as word, left, right):
-            return f"({text_of(left, atoms)} {word} {text_of(right, atoms)})"
+            return f"({text_of(left, atoms, step_ms)} {word} {text_of(right, atoms, step_ms)})"
         case ("until", a, b, left, right):
-            return f"({text_of(left, atoms)} until{_window(a, b)} {text_of(right, atoms)})"
+            before, after = (text_of(operand, atoms, step_ms) for operand in (left, right))
+            return f"({before} until{_window(a, b, step_ms)} {after})"
     word, a, b, operand = tree
-    return f"{word}{_window(a, b)}({text_of(operand, atoms)})"
+    return f"{word}{_window(a, b, step_ms)}({text_of(operand, atoms, step_ms)})"
 
 
-def _window(a: int, b: int) -> str:
-    ms = round(SVEA.dt * 1000)
-    return f"[{a * ms} ms:{b * ms} ms]"
+def _window(a: int, b: int, step_ms: int) -> str:
+    return f"[{a * step_ms} ms:{b * step_ms} ms]"
 
 
 def satisfied(tree: Tree, x: Floats, k: int, atoms: Atoms) -> Bools:
