@@ -1,7 +1,8 @@
 """Progression: formulas as obligations that step from sample to sample, in a table that all vehicles of a class share.
 
 The parts, each a module: ``discrete`` (time to steps), ``obligations`` (canonical form), ``alternatives`` (the tableau
-step), ``expansion`` (many at once), ``beliefs`` (what may be left of a vehicle), ``weakening``, ``text``.
+step), ``expansion`` (many at once), ``beliefs`` (what may be left of a vehicle), ``elapsing`` (many samples that
+nothing is known of), ``weakening``, ``text``.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -10,6 +10,7 @@ from operator import or_
 from typing import Final
 
 from side_info.progression.alternatives import Tableau
+from side_info.progression.elapsing import Elapsing
 from side_info.progression.nodes import FALSE
 from side_info.progression.obligations import Obligations
 from side_info.progression.weakening import Weakening
@@ -26,6 +27,7 @@ class Beliefs:
         self._tableau = tableau
         self._weakening = weakening
         self._most = most
+        self._elapsing = Elapsing(obligations)
         self._members: list[tuple[int, ...]] = [()]
         self._numbers: dict[tuple[int, ...], int] = {(): DEAD}
         self._literals: dict[int, frozenset[int]] = {}
@@ -68,24 +70,12 @@ class Beliefs:
         """The belief after samples that nothing is known of."""
         if steps < 0:
             raise ValueError(f"{steps} samples cannot be skipped")
-        while steps:
-            # The largest power of two first; halves are memoised.
-            stride = 1 << (steps.bit_length() - 1)
-            left = self._stride(belief, stride)
-            if left == belief:
-                # An obligation looks less far at each step: only what has come to an end comes back.
-                return belief
-            belief, steps = left, steps - stride
-        return belief
-
-    def _stride(self, belief: int, steps: int) -> int:
         if steps == 1:
             return self.after(belief, frozenset())
         known = self._skipped.get((belief, steps))
         if known is None:
-            half = self._stride(belief, steps // 2)
-            known = half if half == belief else self._stride(half, steps // 2)
-            self._skipped[belief, steps] = known
+            left = [self._elapsing.after(member, steps) for member in self._members[belief]]
+            known = self._skipped[belief, steps] = self.belief(left) if steps else belief
         return known
 
     def _step(self, belief: int, false: frozenset[int]) -> int:
