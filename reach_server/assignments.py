@@ -23,6 +23,8 @@ from side_info.progression import DEAD, TRUE, Grid, Table
 
 Slots = NDArray[np.intp]
 
+#: Obligations after which those are forgotten that no vehicle has any more.
+MOST_OBLIGATIONS: Final = 100_000
 #: Names of a requirement's two formulas, of which one ends when the requirement is settled.
 HOLDS: Final = "holds "
 FAILS: Final = "fails "
@@ -129,6 +131,8 @@ class Assignments:
         ``newest`` (B,) are their newest stamps, ``block`` gives their newest samples, all of them for a length of None.
         """
         events: list[EngineEvent] = []
+        if len(self.table) > MOST_OBLIGATIONS:
+            self._forget()
         for course in self._courses.values():
             course.grow(int(slots.max(initial=-1)) + 1)
             course.resynchronise(slots, newest)
@@ -147,6 +151,13 @@ class Assignments:
             for slot, t, literals in lost:
                 events += self._contradict(course, slot, names[slot], t, literals)
         return events
+
+    def _forget(self) -> None:
+        """Keep of the table what is believed of some vehicle."""
+        live = [belief for course in self._courses.values() for belief in course.beliefs()]
+        self.table, numbers = self.table.renewed(live)
+        for course in self._courses.values():
+            course.move(self.table, numbers)
 
     def _speaks(self, course: Course, slots: Slots) -> NDArray[np.bool_]:
         """Which vehicles take part in a scenario with their current trajectory."""

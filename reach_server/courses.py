@@ -197,6 +197,18 @@ class Course:
         ]
         return np.array(after, dtype=np.int64)[inverse.ravel()]
 
+    def beliefs(self) -> list[int]:
+        """All that is believed of its vehicles."""
+        return [int(b) for p in self.pursuits.values() for b in np.unique([p.before, p.after])]
+
+    def move(self, table: Table, numbers: Mapping[int, int]) -> None:
+        """Go on with another table, in which the beliefs have these ``numbers``."""
+        self._table = table
+        for pursuit in self.pursuits.values():
+            pursuit.roots.clear()
+            for beliefs in (pursuit.before, pursuit.after):
+                beliefs[:] = [numbers[belief] for belief in beliefs.tolist()]
+
     def asked(self, beliefs: Ints) -> NDArray[np.intp]:
         """Literals that some of the beliefs (B,) ask for now, ascending."""
         found = frozenset[int]().union(*map(self._table.literals_of, np.unique(beliefs).tolist()))

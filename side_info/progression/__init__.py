@@ -24,7 +24,7 @@ __all__ = ["DEAD", "FALSE", "TRUE", "Alternative", "Expansion", "Grid", "Table",
 
 
 class Table:
-    """Obligations and their alternatives, numbered; grows when something new is asked for and forgets nothing.
+    """Obligations and their alternatives, numbered; grows when something new is asked for.
 
     An obligation has at most ``max_alternatives`` alternatives and a belief as many members; beyond that they are
     weakened. Without that, and on a grid without slack, jitter and continuous meaning, everything is exact but for
@@ -112,6 +112,13 @@ class Table:
     def skip(self, belief: int, steps: int = 1) -> int:
         """The belief after samples that nothing is known of."""
         return self._beliefs.skip(belief, steps)
+
+    def renewed(self, beliefs: Iterable[int]) -> tuple["Table", dict[int, int]]:
+        """A table that knows of some beliefs only, and their numbers there: who follows vehicles for days forgets what
+        has been."""
+        table = Table(max_alternatives=self.max_alternatives)
+        moved = self._obligations.copied_to(table._obligations)
+        return table, {belief: table.belief(map(moved, self.members(belief))) for belief in set(beliefs)}
 
     def text(self, obligation: int, name: Callable[[int], str]) -> str:
         """The obligation for people, windows in steps from now."""

@@ -14,7 +14,8 @@ Each rewriting here is an equivalence over sequences of samples, one sample a st
 ``F`` is not moved into disjunctions: that would make two waiting obligations of one.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Final
 
 from side_info.progression.entailment import Entailment
@@ -146,6 +147,32 @@ class Obligations:
         if (known := self._joined.get(key)) is None:
             known = self._joined[key] = self._disjunction(members)
         return known
+
+    def copied_to(self, other: "Obligations") -> Callable[[int], int]:
+        """A function from obligations to their numbers among ``other`` obligations, made there as needed."""
+
+        @cache
+        def copied(obligation: int) -> int:
+            match self.nodes[obligation]:
+                case Truth(value):
+                    return TRUE if value else FALSE
+                case Now(literal):
+                    return other.now(literal)
+                case All(members):
+                    return other.conjunction(map(copied, members))
+                case Some(members):
+                    return other.disjunction(map(copied, members))
+                case Always(last, operand):
+                    return other.always(last, copied(operand))
+                case Eventually(last, operand):
+                    return other.eventually(last, copied(operand))
+                case Until(last, left, right):
+                    return other.until(last, copied(left), copied(right))
+                case Later(delay, operand):
+                    return other.later(delay, copied(operand))
+            raise TypeError(f"obligation {obligation} is of no known kind")
+
+        return copied
 
     def antichain(self, obligations: Iterable[int], *, weakest: bool) -> tuple[int, ...]:
         """The weakest of the obligations, or the strongest: none entails another. In the order of their numbers."""

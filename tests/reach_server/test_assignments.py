@@ -339,3 +339,23 @@ def test_only_what_is_needed_for_the_contradiction_is_named() -> None:
     watched.made.assign(0, scenario("always[0:5 s](x1 <= 1) and eventually[0:5 s](x1 >= 3)"), START, 0.0)
     (event,) = watched.see(0, 0.0, [0.0, 2.0, 0.0])
     assert event.details["predicate"] == "x1 <= 1"
+
+
+def test_what_no_vehicle_has_any_more_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "always[0:90 s](x1 <= 2) and eventually[0:4 s](x1 >= 1) and always[5:9 s](eventually[0:1 s](x1 <= 1))"
+    plain, forgetful = Watched(2), Watched(2)
+    sizes = []
+    for watched, most in ((plain, 10**6), (forgetful, 40)):
+        monkeypatch.setattr("reach_server.assignments.MOST_OBLIGATIONS", most)
+        for slot in (0, 1):
+            watched.made.assign(slot, scenario(text), START + slot * STEP, 0.0)
+        for k in range(130):
+            for slot in (0, 1):
+                events = watched.see(slot, k / 10, [0.0, 1.5 if 20 < k < 60 else 0.0, 0.0])
+                assert not events
+        sizes.append(len(watched.made.table))
+        assert watched.asked(0, 5) == [{"x1 <= 2"}]
+    assert sizes[1] < 150 < sizes[0]
+    monkeypatch.undo()
+    for watched in (plain, forgetful):
+        assert watched.see(0, 13.0, OUTSIDE)
