@@ -175,8 +175,10 @@ class Assignments:
         t, x = samples.t.reshape(-1), samples.x.reshape(-1, samples.x.shape[2])
         known = self._status_of_received(course, t, x, np.repeat(slots, count), own.astype(np.intp))
         by_sample = known.reshape(len(slots), count, len(own))
+        # Stamps ahead of the newest sample's were wrong: the clock has been set back since.
+        valid = samples.valid & (samples.t <= samples.t[:, -1:])
         for column in range(count):
-            rows = np.flatnonzero(samples.valid[:, column])
+            rows = np.flatnonzero(valid[:, column])
             t = samples.t[rows, column]
             status = partial(_looked_up, by_sample[rows, column], own)
             for row in np.flatnonzero(course.see(slots[rows], t, status)).tolist():

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from reach_server.rows import with_room
 from reach_server.windows import Ints
 from side_info import Scenario
+from side_info.connectives import bounds_ns
 from side_info.progression import DEAD, Grid, Table
 
 #: Name of the formula that is taken as true, beside those of the requirements.
@@ -32,9 +33,9 @@ class Course:
     """One scenario and the vehicles that take part in it.
 
     The grid of a vehicle begins at its time zero and has the step of its class; a sample belongs to its nearest point.
-    While all stamps lie on the grid the windows of the formulas are taken as they are. From the first that does not,
-    what has been measured is looked at once more, with windows for stamps that are up to half a step off. A place
-    without a sample, or with two, is passed without asking any predicate there.
+    While all stamps lie on the grid, and all windows end on it, the windows of the formulas are taken as they are. From
+    the first stamp that does not, what has been measured is looked at once more, with windows for stamps that are up to
+    half a step off. A place without a sample, or with two, is passed without asking any predicate there.
     """
 
     def __init__(
@@ -50,6 +51,10 @@ class Course:
         self._step = step_ns
         self._add = dict(formulas)
         self._lead = lead
+        requirements = (r for both in scenario.requirements.values() for r in (both.holds, both.fails))
+        bounds = (end for formula in (scenario.side_information, *requirements) for end in bounds_ns(formula))
+        #: Whether all windows begin and end at places of the grid.
+        self._whole = all(end % step_ns == 0 for end in bounds)
         self.pursuits = {name: Pursuit() for name in formulas}
         self.zero = np.zeros(0, dtype=np.int64)
         self.assigned = np.zeros(0, dtype=bool)
@@ -97,8 +102,10 @@ class Course:
         return roots[grid]
 
     def _grid(self, slot: int) -> Grid:
-        jitter = self._step // 2 if self._jitters[slot] else 0
-        return Grid(self._step, int(self.slack[slot]), self.scenario.semantics == "continuous", jitter)
+        slack = int(self.slack[slot])
+        # Between the last place of a window and its end a stamp may come that is the first to stray.
+        exact = self._whole and slack % self._step == 0 and not self._jitters[slot]
+        return Grid(self._step, slack, self.scenario.semantics == "continuous", 0 if exact else self._step // 2)
 
     def _restart(self, slot: int) -> None:
         # Formulas are followed from as many places before time zero as may belong to them after all, and as the horizon
@@ -135,7 +142,8 @@ class Course:
         ``status`` says what surely does not hold at the samples, by rows of ``slots``. Samples that have been seen, and
         those before time zero, change nothing.
         """
-        fresh = self.unseen(slots, t)
+        # What a strayed stamp has put in doubt waits until all is looked at once more.
+        fresh = self.unseen(slots, t) & ~np.isin(slots, list(self._again))
         self._seen[slots[fresh]] = t[fresh]
         index = (2 * (t - self.zero[slots]) + self._step) // (2 * self._step)
         rows = np.flatnonzero(fresh & (index >= -self._before[slots]))

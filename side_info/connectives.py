@@ -1,6 +1,6 @@
 """Conjunctions and disjunctions of normal formulas, without what says nothing."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 from side_info.normal import Conjunction, Constant, Disjunction, Finally, Globally, Normal, Until
@@ -41,6 +41,14 @@ def operands_of(formula: Normal) -> tuple[Normal, ...]:
         case Until(_, _, left, right):
             return (left, right)
     return ()
+
+
+def bounds_ns(formula: Normal) -> Iterator[int]:
+    """Ends of all windows of the formula."""
+    if isinstance(formula, Globally | Finally | Until):
+        yield from (formula.start_ns, formula.end_ns)
+    for operand in operands_of(formula):
+        yield from bounds_ns(operand)
 
 
 def size_of(formula: Normal) -> int:

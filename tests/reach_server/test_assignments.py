@@ -359,3 +359,41 @@ def test_what_no_vehicle_has_any_more_is_forgotten(monkeypatch: pytest.MonkeyPat
     monkeypatch.undo()
     for watched in (plain, forgetful):
         assert watched.see(0, 13.0, OUTSIDE)
+
+
+def test_stamps_that_stray_in_a_block_are_judged_as_those_that_come_one_by_one() -> None:
+    one, many = Watched(), Watched()
+    for watched in (one, many):
+        watched.made.assign(0, scenario("always[0:500 ms](x1 <= 1)"), START, 0.0)
+    for k in range(9):
+        seconds = k / 10 + (0.01 if k else 0.0)
+        state = [0.0, 0.0 if seconds <= 0.5 else 5.0, 0.0]
+        assert not one.see(0, seconds, state)
+        many.sample(0, seconds, state)
+    assert not many.look(0)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_stamps_from_before_the_clock_was_set_back_say_nothing(late: bool) -> None:
+    watched = Watched()
+    side = scenario("always[3:9 s](x1 <= -1)")
+    if not late:
+        watched.made.assign(0, side, START, 0.0)
+    for k in (*range(20), *range(31, 40)):
+        watched.sample(0, k / 10, [0.0, -2.0 if k > 30 else 0.0, 0.0])
+        if not late:
+            assert not watched.look(0)
+    if late:
+        watched.made.assign(0, side, START, 0.0)
+    for k in (20, 21, 22):
+        assert not watched.see(0, k / 10)
+        assert watched.asked(0) == [set()]
+
+
+def test_a_stamp_that_strays_into_a_window_that_ends_between_samples_may_be_the_witness() -> None:
+    watched = Watched()
+    watched.made.assign(0, scenario("eventually[0:540 ms](x1 >= 1)"), START, 0.0)
+    for k in range(6):
+        assert not watched.see(0, k / 10)
+    assert not watched.see(0, 0.53, [0.0, 1.0, 0.0])
+    assert not watched.see(0, 0.6)
