@@ -15,6 +15,8 @@ from fleet_bus.messages import EventKind
 from fleet_bus.router import Router
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
+from reach_server.assignments import Assignments
+from reach_server.windows import Block
 from side_info.scenario import Scenario
 
 #: Seconds that the processes have to get ready, and the vehicles to get their first tube.
@@ -185,6 +187,7 @@ class Demo:
                 "checked": 0 if own is None else int(own.checked[:, 0].sum()),
                 "inside": 0 if own is None else int(own.inside[:, 0].sum()),
                 "label": str(monitor.newest[vehicle].label) if vehicle in monitor.newest else "none",
+                "stray": vehicle in self._stray,
             }
         steps = _steps(list(coverage.values()))
         latency = monitor.latencies() * 1e3
@@ -222,18 +225,36 @@ class Demo:
         return summary
 
     def _strayed(self, monitor: Monitor, vehicle: str) -> dict[str, Any]:
-        """When a vehicle that leaves the scenario was told about (None: never), by which predicates, and how its sets
+        """When a vehicle left the scenario and when that was told (None: never), by which predicates, and how its sets
         held from then on."""
         told = [e for e in monitor.events if e.vehicle == vehicle and e.kind is EventKind.CONTRADICTION]
+        left = self._left_at(monitor, vehicle)
         if not told:
-            return {"told_at": None, "predicates": "", "checked": 0, "inside": 0}
+            return {"left_at": left, "told_at": None, "predicates": "", "checked": 0, "inside": 0}
         own = monitor.coverage_from(vehicle, told[0].t)
         return {
+            "left_at": left,
             "told_at": told[0].details["elapsed"],
             "predicates": told[0].details["predicate"],
             "checked": int(own.checked.sum()),
             "inside": int((own.inside & own.checked).sum()),
         }
+
+    def _left_at(self, monitor: Monitor, vehicle: str) -> float | None:
+        """Seconds after which the true states left the scenario no way to be true; None if they did not."""
+        profile = monitor.profiles[vehicle]
+        exact = np.zeros((len(profile.state), 0))
+        truths = [truth for key, truth in sorted(monitor.truths.items()) if key[0] == vehicle]
+        truths = [truth for truth in truths if truth.t >= monitor.assignments[vehicle].time_zero]
+        if not truths:
+            return None
+        assignments = Assignments(profile, exact, exact)
+        assignments.assign(0, self.scenario, monitor.assignments[vehicle].time_zero, 0.0)
+        t, x = np.array([[truth.t for truth in truths]]), np.array([[truth.x for truth in truths]])
+        yes = np.ones(t.shape, dtype=bool)
+        block = Block(t, x, np.zeros((*t.shape, 0)), yes, yes, yes)
+        events = assignments.receive(np.array([0]), [vehicle], t[:, -1], lambda slots, length: block)
+        return float(events[0].details["elapsed"]) if events else None
 
     def _evaluation(self, monitor: Monitor, steps: list[dict[str, Any]]) -> dict[str, Any]:
         labels: dict[str, int] = {}

@@ -106,7 +106,9 @@ def side_info(
         list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
     ] = None,
     id: Annotated[str, typer.Option(help="Id of this service.")] = "side-info-1",
-    clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.")] = 0.0,
+    clock_offset: Annotated[
+        float, typer.Option(help="Bound on the difference of clocks, s.", min=0.0, max=1e9)
+    ] = 0.0,
     router: Routers = _DEFAULT_ROUTERS,
 ) -> None:
     """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.
@@ -120,12 +122,23 @@ def side_info(
 
     stop = stop_on_signals()
     loaded = [Scenario.load(name) for name in scenarios]
-    pairs = dict(_pair(text) for text in assign) if assign else {EVERY_VEHICLE: loaded[0].name}
+    pairs = _pairs(assign) if assign else {EVERY_VEHICLE: loaded[0].name}
     files = watching.files(scenarios, loaded)
     with open_session(Role.SERVICE, router) as session:
         service = SideInfoService(session, loaded, pairs, id, files=files, clock_offset=clock_offset)
         print(f"side-info publishes {', '.join(s.name for s in loaded)}", flush=True)
         service.run(stop)
+
+
+def _pairs(texts: list[str]) -> dict[str, str]:
+    pairs: dict[str, str] = {}
+    for vehicle, scenario in map(_pair, texts):
+        if pairs.setdefault(vehicle, scenario) != scenario:
+            raise UsageError(
+                f"--assign: {vehicle} is assigned twice ({pairs[vehicle]}, {scenario}); one service gives a vehicle "
+                "one scenario, start a second fleet side-info --id …"
+            )
+    return pairs
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -135,7 +148,7 @@ def _pair(text: str) -> tuple[str, str]:
     return vehicle, scenario
 
 
-SampleTime = Annotated[float | None, typer.Option("--sample-time", help="Of the vehicles' samples, s.", min=1e-4)]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", help="Of the vehicles' samples, s.", min=1e-4, max=60.0)]
 
 
 @scenario_app.command("list")
@@ -180,7 +193,7 @@ def scenario_check(
 @scenario_app.command("show")
 def scenario_show(
     scenario: Annotated[str, typer.Argument(help="Shipped scenario or scenario file.")],
-    sample_time: Annotated[float, typer.Option(help="Of the vehicles' samples, s.", min=1e-4)] = 0.05,
+    sample_time: Annotated[float, typer.Option(help="Of the vehicles' samples, s.", min=1e-4, max=60.0)] = 0.05,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Draw it here (PNG, SVG or PDF).")] = None,
 ) -> None:
     """Say what a scenario asks for and when; draw its regions, and when it asks for which predicate."""

@@ -61,6 +61,7 @@ def print_summary(summary: Mapping[str, Any]) -> None:
         table.add_column(column, justify="left" if column in ("vehicle", "label") else "right")
     for name, vehicle in summary["by_vehicle"].items():
         held = f"{vehicle['inside']} of {vehicle['checked']}"
+        held += " (strays: not counted)" if vehicle["stray"] else ""
         table.add_row(name, str(vehicle["samples"]), str(vehicle["tubes"]), held, vehicle["label"])
     console.print(table)
     lines = [
@@ -77,11 +78,14 @@ def print_summary(summary: Mapping[str, Any]) -> None:
     latency = summary["latency_ms"]
     lines.append(f"state to tube: {latency['p50']:.1f} ms median, {latency['p99']:.1f} ms 99 %")
     events = ", ".join(f"{count} {kind}" for kind, count in summary["events"].items()) or "none"
-    lines.append(f"events: {events}; messages refused: {sum(summary['refused'].values())}")
+    besides = " besides those of vehicles that stray" if summary["stray"] else ""
+    lines.append(f"events: {events}{besides}; messages refused: {sum(summary['refused'].values())}")
     for vehicle, stray in summary["stray"].items():
         if stray["told_at"] is not None:
+            left = "did not leave" if stray["left_at"] is None else f"left at {stray['left_at']:.2f} s"
+            by = f" by {stray['predicates']}" if stray["predicates"] else ""
             lines.append(
-                f"{vehicle} left the scenario: told at {stray['told_at']:.2f} s ({stray['predicates']}), from then on "
+                f"{vehicle} strays: {left}, told at {stray['told_at']:.2f} s{by}, from then on "
                 f"{stray['inside']} of {stray['checked']} true states inside its uncut sets"
             )
     for line in lines:

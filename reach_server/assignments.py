@@ -85,13 +85,15 @@ class Assignments:
         for name, requirement in scenario.requirements.items():
             normals |= {HOLDS + name: requirement.holds, FAILS + name: requirement.fails}
 
-        def literal(number: int, margin_ns: int) -> int:
-            predicate = scenario.predicates[number]
-            return self.literals.add(
-                predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
-            )
-
         def root(formula: str, grid: Grid, lead: int) -> int:
+            def literal(number: int, margin_ns: int) -> int:
+                predicate = scenario.predicates[number]
+                made = self.literals.add(
+                    predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
+                )
+                course.pursuits[formula].literals.add(made)
+                return made
+
             return self.table.add(normals[formula], grid, literal, lead=lead)
 
         formulas = {name: partial(root, name) for name in normals}
@@ -124,11 +126,12 @@ class Assignments:
         }
 
     def receive(
-        self, slots: Slots, names: Sequence[str], newest: Ints, block: Callable[[Slots, int | None], Block]
+        self, slots: Slots, names: Sequence[str], newest: Ints, block: Callable[[Slots, int], Block]
     ) -> list[EngineEvent]:
         """Take in what has been measured of some vehicles (B,) since the last time; what that contradicts.
 
-        ``newest`` (B,) are their newest stamps, ``block`` gives their newest samples, all of them for a length of None.
+        ``newest`` (B,) are their newest stamps; ``block`` gives their newest samples, fewer than it is asked for only
+        where there are no more.
         """
         events: list[EngineEvent] = []
         if len(self.table) > MOST_OBLIGATIONS:
@@ -136,21 +139,27 @@ class Assignments:
         for course in self._courses.values():
             course.grow(int(slots.max(initial=-1)) + 1)
             course.resynchronise(slots, newest)
-            waiting = slots[course.unseen(slots, newest) & self._speaks(course, slots)]
-            if not len(waiting):
-                continue
-            recent = block(waiting, 2)
-            # Usually one sample has come; all of the window is looked through only where more have.
-            more = course.unseen(waiting, recent.t[:, 0]) & recent.valid[:, 0]
-            lost = self._see(course, waiting[~more], take(recent, ~more))
-            if more.any():
-                lost += self._see(course, waiting[more], block(waiting[more], None))
-            again = course.again()
-            if len(again):
-                lost += self._see(course, again, block(again, None))
+            waiting = slots[course.unseen(slots, newest) & self._speaks(course, slots) & course.followed(slots)]
+            lost = self._see_all(course, waiting, block)
+            lost += self._see_all(course, course.again(), block)
             for slot, t, literals in lost:
                 events += self._contradict(course, slot, names[slot], t, literals)
         return events
+
+    def _see_all(
+        self, course: Course, slots: Slots, block: Callable[[Slots, int], Block]
+    ) -> list[tuple[int, int, tuple[int, ...]]]:
+        """All samples of some vehicles that are new to a scenario; as ``_see``."""
+        lost: list[tuple[int, int, tuple[int, ...]]] = []
+        length = 2
+        while len(slots):
+            # Usually one sample has come: the window is looked through as far back as is needed only.
+            samples = block(slots, length)
+            more = course.unseen(slots, samples.t[:, 0]) & samples.valid[:, 0] & (samples.t.shape[1] == length)
+            if not more.all():
+                lost += self._see(course, slots[~more], take(samples, ~more))
+            slots, length = slots[more], 4 * length
+        return lost
 
     def _forget(self) -> None:
         """Keep of the table what is believed of some vehicle."""
@@ -170,10 +179,12 @@ class Assignments:
     def _see(self, course: Course, slots: Slots, samples: Block) -> list[tuple[int, int, tuple[int, ...]]]:
         """Samples oldest first; (slot, stamp, literals) where a scenario was contradicted."""
         lost: list[tuple[int, int, tuple[int, ...]]] = []
+        new = course.unseen(slots[:, None], samples.t) & samples.valid
+        samples = take(samples, (slice(None), slice(int(np.argmax(new.any(axis=0))), None)))
         count = samples.t.shape[1]
-        own = np.array([i for i in range(self.literals.count) if self.literals.scenario(i) == course.scenario.name])
+        own = np.array(sorted(course.literals(slots)), dtype=np.intp)
         t, x = samples.t.reshape(-1), samples.x.reshape(-1, samples.x.shape[2])
-        known = self._status_of_received(course, t, x, np.repeat(slots, count), own.astype(np.intp))
+        known = self._status_of_received(course, t, x, np.repeat(slots, count), own)
         by_sample = known.reshape(len(slots), count, len(own))
         # Stamps ahead of the newest sample's were wrong: the clock has been set back since.
         valid = samples.valid & (samples.t <= samples.t[:, -1:])

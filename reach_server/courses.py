@@ -24,6 +24,7 @@ Status = Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.int8]]
 class Pursuit:
     """Beliefs about one formula by slot (V,): ``before`` and ``after`` its newest sample (ids of a ``Table``)."""
 
+    literals: set[int] = field(default_factory=set)
     roots: dict[Grid, int] = field(default_factory=dict)
     before: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     after: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -136,6 +137,15 @@ class Course:
         """Whether samples of stamps ``t`` (B,) are new to the scenario."""
         return np.asarray(self.assigned[slots] & (self._seen[slots] < t))
 
+    def followed(self, slots: Slots) -> NDArray[np.bool_]:
+        """Of which vehicles (B,) a formula is still to be followed: after a contradiction only requirements are."""
+        return np.asarray(~self.contradicted[slots] | (len(self.pursuits) > 1))
+
+    def literals(self, slots: Slots) -> set[int]:
+        """Literals that samples of some vehicles are asked for."""
+        over = bool(self.contradicted[slots].all())
+        return set().union(*(p.literals for name, p in self.pursuits.items() if not (over and name == ASSUME)))
+
     def see(self, slots: Slots, t: Ints, status: Status) -> NDArray[np.bool_]:
         """Take in one sample each of some vehicles (B,), stamps ns; which of them contradict the scenario now.
 
@@ -154,9 +164,11 @@ class Course:
         rows, chosen = rows[~strays], chosen[~strays]
         repeated = index[rows] == self._index[chosen]
         missing = np.maximum(index[rows] - self._index[chosen] - 1, 0)
-        for pursuit in self.pursuits.values():
-            self._pass(pursuit.before, pursuit.after, chosen, repeated, missing)
-            self._ask(pursuit, chosen[~repeated], rows[~repeated], status)
+        for name, pursuit in self.pursuits.items():
+            open_ = ~self.contradicted[chosen] | (name != ASSUME)
+            self._pass(pursuit.before, pursuit.after, chosen[open_], repeated[open_], missing[open_])
+            asked = open_ & ~repeated
+            self._ask(pursuit, chosen[asked], rows[asked], status)
         self.tested[chosen], self._index[chosen], self._started[chosen] = ~repeated, index[rows], True
         lost = np.zeros(len(slots), dtype=bool)
         lost[rows] = (self.pursuits[ASSUME].after[chosen] == DEAD) & ~self.contradicted[chosen]

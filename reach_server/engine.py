@@ -102,6 +102,8 @@ class Engine:
         self._inside = np.zeros(0, dtype=np.int64)
         self._last_miss = np.zeros(0)
         self._falsified = np.zeros(0, dtype=bool)
+        #: Stamps of samples that lay outside of their set, but not of the one without side information, by slot.
+        self._doubted: dict[int, int] = {}
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -136,6 +138,7 @@ class Engine:
         self._predictions.drop(slot)
         self._checked[slot] = self._inside[slot] = self._last_miss[slot] = 0
         self._falsified[slot] = False
+        self._doubted.pop(slot, None)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
         """Cut the tubes of a vehicle by a scenario from now on; raise ``ScenarioError`` if its states do not fit."""
@@ -197,7 +200,19 @@ class Engine:
         """Let the scenarios see what has been measured of some vehicles."""
         held = slots[self.window.filled(slots) > 0]
         newest = self.window.newest(held)[2]
-        return self._assignments.receive(held, self._names, newest, self.window.block) if len(held) else []
+        if not len(held):
+            return []
+
+        def block(wanted: NDArray[np.intp], length: int) -> Block:
+            return self.window.block(wanted, min(length, self.window.size))
+
+        events = self._assignments.receive(held, self._names, newest, block)
+        # What lay outside of a set only because of side information, and no predicate explains.
+        for slot in sorted(self._doubted.keys() & set(held.tolist())):
+            t = self._doubted.pop(slot)
+            if not any(event.vehicle == self._names[slot] for event in events):
+                events += self._assignments.contradict(slot, self._names[slot], t, None)
+        return events
 
     def _serve(self, slots: NDArray[np.intp], known: KnownInputs | None) -> tuple[_Served, dict[str, str]]:
         """The vehicles that can be served now, and why the others cannot."""
@@ -368,7 +383,8 @@ class Engine:
     def _miss(self, slot: int, t: int, excess: float, *, side_information: bool) -> list[EngineEvent]:
         vehicle = self._names[slot]
         if side_information:
-            return self._assignments.contradict(slot, vehicle, t, None)
+            self._doubted[slot] = t
+            return []
         if self.method == "calibrated":
             return []
         self._falsified[slot] = True

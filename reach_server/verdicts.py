@@ -14,7 +14,8 @@ def verdict(holds: Sequence[int], fails: Sequence[int], settled: int, dead: int)
 
     * ``satisfied``: its negation is dead; ``violated``: it is dead itself;
     * ``undecided (size)``: within the horizon it may be settled either way, the sets are too large to tell;
-    * ``undecided (time)``: what decides lies beyond the horizon, or has one outcome only as yet.
+    * ``undecided (time)``: what decides lies beyond the horizon, or has one outcome only as yet;
+    * ``undecided (past)``: it may have been violated by what was measured with noise, or not received.
 
     Where it can be violated within the horizon, the first step at which is named [LA24].
     """
@@ -22,8 +23,7 @@ def verdict(holds: Sequence[int], fails: Sequence[int], settled: int, dead: int)
         return SATISFIED
     if dead in holds:
         return VIOLATED
+    if fails[0] == settled:
+        return "undecided (past)"
     reason = "size" if settled in holds and settled in fails else "time"
-    if settled not in fails:
-        return f"undecided ({reason})"
-    step = fails.index(settled)
-    return f"undecided ({reason}), may be violated " + (f"at step {step}" if step else "already")
+    return f"undecided ({reason})" + (f", may be violated at step {fails.index(settled)}" if settled in fails else "")

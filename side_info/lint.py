@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Final
 
 from lark import Token, Tree
 
+from fleet_bus.errors import ScenarioError
 from side_info.document import ScenarioFields, read_fields
 from side_info.expression import number_text
 from side_info.formula import Always, And, Eventually, Formula, Temporal, Until, formulas_in
@@ -17,6 +19,10 @@ from side_info.scenario import Scenario
 from side_info.scenario_text import Found, ScenarioText
 from side_info.windows import window_ns
 from side_info.yaml_text import YamlText, read_yaml
+
+
+#: Predicates in use beyond which their number is worth a word.
+MANY_PREDICATES: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,16 +42,19 @@ def lint(scenario: Scenario, sample_time: float | None = None) -> tuple[Finding,
 
     ``sample_time`` (s) is that of the vehicles, where it is known; without it, and under continuous semantics, nothing
     is said about windows that hold no sample. What is said never to hold, or always to hold, surely does so; not
-    everything of the kind is found.
+    everything of the kind is found. Raises ``ScenarioError`` for a sample time that is none.
     """
     document = read_yaml(scenario.text, scenario.name)
     fields = read_fields(document)
     text = ScenarioText.of(fields, document)
+    if sample_time is not None and not 1e-9 <= sample_time <= 1e9:
+        raise ScenarioError(f"a sample time of {sample_time:g} s: expected 1e-9 to 1e+09 s")
     gridded = sample_time if scenario.semantics == "sampled" else None
     step_ns = None if gridded is None else round(gridded * 1e9)
-    findings = list(_unused(fields, text, document))
+    findings = [*_unused(fields, text, document), *_many(scenario, document)]
     for found in (text.assume, *text.monitor.values()):
         findings += _touching(found)
+        findings += _timeless(found)
         findings += _extremes(found, text.forms, step_ns)
         if step_ns is not None:
             findings += _off_grid(found, step_ns)
@@ -75,6 +84,24 @@ def _names(excerpt: Excerpt) -> set[str]:
     tree = syntax_tree(excerpt)
     tokens = tree.scan_values(lambda token: isinstance(token, Token)) if isinstance(tree, Tree) else iter((tree,))
     return {str(token) for token in tokens if token.type == "NAME"}
+
+
+def _timeless(found: Found) -> Iterator[Finding]:
+    formula = found.formula
+    if not any(isinstance(part, Temporal) for part in formulas_in(formula)):
+        yield _finding(
+            found.excerpt,
+            formula,
+            f"{formula!s:.60} has no always, eventually or until: it speaks about time zero only",
+        )
+
+
+def _many(scenario: Scenario, document: YamlText) -> Iterator[Finding]:
+    count = len(scenario.used)
+    if count > MANY_PREDICATES:
+        place = line_and_column(document.text, document.keys[("assume",)].start_mark.index)
+        message = f"{count} predicates: each one costs time at every sample, for all vehicles of its server"
+        yield Finding(message, *place)
 
 
 def _touching(found: Found) -> Iterator[Finding]:

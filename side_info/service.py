@@ -1,8 +1,10 @@
 """The side-info service: publishes scenarios, and which vehicle takes part in which from when on."""
 
+import math
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from threading import Event
@@ -48,8 +50,8 @@ class SideInfoService:
     Of the samples in the caches of vehicles, ``history`` each are asked for at the start.
     ``clock_offset`` (s) bounds how far the clocks of vehicles and scenarios differ; it goes into assignments.
 
-    Raises ``ScenarioError`` for an assignment or a file of a scenario that is not loaded or for two of one name,
-    ``KeyIdError`` for an id that cannot be in a key.
+    Raises ``ScenarioError`` for an assignment or a file of a scenario that is not loaded, for two of one name and for a
+    clock offset that is negative or not finite, ``KeyIdError`` for an id that cannot be in a key.
     """
 
     def __init__(
@@ -76,6 +78,8 @@ class SideInfoService:
         for name, path in (files or {}).items():
             if name not in self._scenarios:
                 raise ScenarioError(f"{path}: scenario {name!r:.80} is not loaded: loaded are {loaded}")
+        if not (math.isfinite(clock_offset) and clock_offset >= 0):
+            raise ScenarioError(f"the clock offset {clock_offset:g} s bounds nothing: expected a finite one, 0 or more")
         keys.service(KIND, instance)
         self._session = session
         self._watched = {name: Watched.begin(path, self._scenarios[name]) for name, path in (files or {}).items()}
@@ -205,6 +209,8 @@ class SideInfoService:
         )
         publications.put(keys.assignment(scenario.name, vehicle), Assignment.encoding(), assignment.encode())
         self._counters["assignments"] += 1
+        event = "takes part" if active else "takes part no longer"
+        _log.info(event, vehicle=vehicle, scenario=scenario.name, time_zero=_instant(time_zero))
 
     def _look_at_files(self, publications: Publications) -> None:
         for name, watched in self._watched.items():
@@ -213,7 +219,10 @@ class SideInfoService:
                 self._replace(decision, publications)
             elif isinstance(decision, Refusal):
                 self._refused_documents[decision.reason] += 1
-                _log.warning("document refused", scenario=name, reason=decision.reason, detail=decision.detail)
+                # The detail shows a place below its line: as a field it would be one line full of escapes.
+                _log.warning(f"document refused: {decision.detail}", scenario=name, reason=decision.reason)
+            elif watched.behind and not self._watched[name].behind:
+                _log.info("document as published again", scenario=name, version=watched.scenario.version)
 
     def _replace(self, scenario: Scenario, publications: Publications) -> None:
         """Publish a new version of a scenario, and the assignments anew whose time zero it changes."""
@@ -260,6 +269,12 @@ class SideInfoService:
             },
             refused={**self._rejections.snapshot(), **self._refused_documents},
         )
+
+
+def _instant(time_ns: int) -> str:
+    """A stamp as an RFC 3339 instant in whole milliseconds."""
+    seconds, rest = divmod(time_ns, 10**9)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest // 10**6:03d}Z"
 
 
 def _flags(batch: StateBatch) -> list[int]:

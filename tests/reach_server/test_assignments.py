@@ -33,9 +33,9 @@ class Watched:
         self.names = [f"car-{slot}" for slot in range(vehicles)]
         self.samples: list[list[tuple[int, list[float]]]] = [[] for _ in range(vehicles)]
 
-    def block(self, slots: "np.ndarray[tuple[int], np.dtype[np.intp]]", length: int | None) -> Block:
-        """The newest samples of vehicles."""
-        size = length or 200
+    def block(self, slots: "np.ndarray[tuple[int], np.dtype[np.intp]]", length: int) -> Block:
+        """The newest samples of vehicles, 200 at most."""
+        size = min(length, 200)
         t, x = np.zeros((len(slots), size), dtype=np.int64), np.zeros((len(slots), size, 3))
         valid = np.zeros((len(slots), size), dtype=bool)
         for row, slot in enumerate(slots.tolist()):

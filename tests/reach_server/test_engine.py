@@ -346,7 +346,7 @@ def test_cuts_of_calibrated_sets_leave_room_for_the_measurement_noise() -> None:
     drive = history(0)
     there = drive.truth[NOW + 10, :2]
     low, high = there - 0.4, there + 1e-3
-    last = f"{10 * SVEA.dt - 0.01}:{10 * SVEA.dt + 0.01} s"
+    last = f"{10 * SVEA.dt}:{10 * SVEA.dt} s"
     for method, room in (("calibrated", noise_half), ("set_membership", np.zeros(2))):
         engine = engine_of(SMALL.model_copy(update={"confidence": 0.9}), method=method)
         engine.append(samples_of(drive, 0, NOW))
