@@ -290,6 +290,12 @@ class Assignments:
             events += self._contradict(course, slot, vehicle, t, own)
         return events
 
+    def of_others(self, acted: NDArray[np.bool_], blamed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Literals (L,) among those that ``acted`` of scenarios that none of the ``blamed`` ones belongs to."""
+        owners = {self.literals.scenario(i) for i in np.flatnonzero(blamed).tolist()}
+        others = [self.literals.scenario(i) not in owners for i in range(len(acted))]
+        return np.asarray(acted & np.array(others, dtype=bool))
+
     def _contradict(
         self, course: Course, slot: int, vehicle: str, t: int, literals: Sequence[int]
     ) -> list[EngineEvent]:

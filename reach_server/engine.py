@@ -355,7 +355,12 @@ class Engine:
         count = len(served.slots)
         for track in np.flatnonzero(tube.ended >= 0).tolist():
             row = int(tracks.vehicle[track])
-            slot, literals = int(served.slots[row]), np.flatnonzero(tube.blamed[track]).tolist()
+            # What cut before may be as wrong as what left nothing: all scenarios that took part are named.
+            before = tube.acted[track].any(axis=0)
+            literals = np.flatnonzero(
+                tube.blamed[track] | self._assignments.of_others(before, tube.blamed[track])
+            ).tolist()
+            slot = int(served.slots[row])
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals)
         for row in np.flatnonzero(tube.contradicted[:count]).tolist():
             slot = int(served.slots[row])
