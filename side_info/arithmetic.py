@@ -20,6 +20,7 @@ from side_info.expression import (
     Sum,
     Time,
 )
+from side_info.hints import close, word_or_function
 from side_info.parser import Branch, start_of
 from side_info.places import Excerpt
 
@@ -57,7 +58,9 @@ def read_number(token: Token, excerpt: Excerpt) -> float:
 
 def undeclared(token: Token, excerpt: Excerpt, declared: Declarations) -> ScenarioError:
     """Error about a name that is not declared."""
-    return excerpt.error(start_of(token), f"{token[:40]!r} is not declared: declared are {declared.describe()}")
+    names = (*declared.states, *declared.regions, *declared.parameters)
+    problem = f"{token[:40]!r} is not declared: declared are {declared.describe()}{close(token, names)}"
+    return excerpt.error(start_of(token), problem)
 
 
 def _number(token: Token, excerpt: Excerpt) -> Number:
@@ -89,7 +92,8 @@ def _call(children: list[Branch], excerpt: Excerpt, declared: Declarations) -> E
     if function == "in":
         raise excerpt.error(at, "a number is expected, in(…) is a formula")
     if function not in FUNCTIONS:
-        raise excerpt.error(at, f"unknown function {str(function)[:40]!r}: expected one of {', '.join(FUNCTIONS)}")
+        problem = f"unknown function {str(function)[:40]!r}: expected one of {', '.join(FUNCTIONS)}"
+        raise excerpt.error(at, problem + word_or_function(str(function), FUNCTIONS))
     least, most = FUNCTIONS[str(function)]
     if not least <= len(arguments) <= (most or len(arguments)):
         wrong = start_of(arguments[least]) if len(arguments) > least else at

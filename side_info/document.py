@@ -10,7 +10,7 @@ from fleet_bus.keys import ID_PATTERN
 from fleet_bus.units import seconds
 from side_info.yaml_text import Path, YamlText
 
-_INSTANT: Final = re.compile(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)")
+_INSTANT: Final = re.compile(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,31}$")]
@@ -36,6 +36,12 @@ def _zero(value: object) -> int | None:
     if isinstance(value, str):
         return instant_ns(value)
     raise ValueError("expected on_start or an RFC 3339 instant such as 2026-05-01T12:00:00Z")
+
+
+def _value(value: object) -> float:
+    if isinstance(value, str) and not value.isascii():
+        raise ValueError(f"{value!r:.40} is not a duration: expected ASCII digits, such as 25 s")
+    return seconds(value)
 
 
 def _as_text(value: object) -> object:
@@ -95,7 +101,7 @@ class ScenarioFields(_Part):
         Field(min_length=1, max_length=32, description="unit of each state that formulas name"),
     ]
     time: TimeFields
-    parameters: dict[Name, Annotated[float, BeforeValidator(seconds, json_schema_input_type=float | str)]] = Field(
+    parameters: dict[Name, Annotated[float, BeforeValidator(_value, json_schema_input_type=float | str)]] = Field(
         default_factory=dict, description="numbers, and durations such as 25 s, 250 ms or 2 min"
     )
     regions: dict[
@@ -122,9 +128,36 @@ def read_fields(document: YamlText) -> ScenarioFields:
                 f"unknown key {str(path[-1])[:40]!r}: expected one of {', '.join(_allowed(path))}",
                 key=True,
             ) from None
-        message = problem["msg"].removeprefix("Value error, ")
+        message = _expected(path, kind) or problem["msg"].removeprefix("Value error, ")
         name = ".".join(str(part) for part in path if part != "[key]") or "the document"
         raise document.error(path, f"{name:.80}: {message}", key=path[-1:] == ("[key]",)) from None
+
+
+_MAPS: Final[dict[Path, str]] = {
+    (): "expected a map that begins with scenario:",
+    ("state",): "write names with units, {x1: m, x2: m}",
+    ("time",): "write {zero: on_start, semantics: sampled}",
+    ("time", "speed"): "write names with bounds, {x1: 2.0, x2: 2.0}",
+    ("parameters",): "write names with values, {T: 25 s, r: 1.5}",
+    ("regions",): "write names with boxes, discs or formulas, {P: {box: {x1: [0, 1]}}}",
+    ("monitor",): 'write names with formulas, {stays: "always[0:1](P)"}',
+}
+
+
+def _expected(path: Path, kind: str) -> str:
+    """What to write at ``path`` where something of another kind stands; empty where pydantic says it well."""
+    if path == ("version",):
+        return "write a whole number from 1, without quotes"
+    if kind == "string_pattern_mismatch":
+        if path == ("scenario",):
+            return "an id has letters, digits, _ . - and no spaces, 64 characters at most"
+        name = f"{str(path[-2])[:40]!r}"
+        return f"{name} is no name: letters, digits, _ and no spaces, 32 characters at most, no digit first"
+    if kind in ("dict_type", "model_type", "model_attributes_type"):
+        return _MAPS.get(path, "")
+    if path[2:] == ("disc", "center") and kind in ("too_long", "too_short"):
+        return "a disc lies in the plane of two states: write {x1: 0, x2: 0}"
+    return ""
 
 
 def _allowed(path: Path) -> list[str]:

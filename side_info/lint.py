@@ -20,7 +20,6 @@ from side_info.scenario_text import Found, ScenarioText
 from side_info.windows import window_ns
 from side_info.yaml_text import YamlText, read_yaml
 
-
 #: Predicates in use beyond which their number is worth a word.
 MANY_PREDICATES: Final = 64
 

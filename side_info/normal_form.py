@@ -205,7 +205,10 @@ class _Reader:
         self._spend(1, comparison)
         literal = self.forms.number(predicate, name)
         if literal is None:
-            raise self.excerpt.error(comparison.at, f"more than {MAX_PREDICATES} predicates: expected fewer")
+            raise self.excerpt.error(
+                comparison.at,
+                f"more than {MAX_PREDICATES} predicates: expected fewer, those of unused regions count too",
+            )
         return literal
 
     def _spend(self, size: int, formula: Formula) -> None:

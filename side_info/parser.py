@@ -8,6 +8,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 
 from fleet_bus.errors import ScenarioError
+from side_info.hints import sign_or_word
 from side_info.places import Excerpt
 
 Branch = Tree[Token] | Token
@@ -85,7 +86,7 @@ def _refusal(excerpt: Excerpt, error: UnexpectedInput) -> ScenarioError:
         if error.token.type == "$END":
             came, place = "end", len(excerpt.text.rstrip())
     expected = ", ".join(sorted(_READABLE[name] for name in fitting if name in _READABLE))
-    return excerpt.error(place, f"unexpected {came:.40}: expected {expected}")
+    return excerpt.error(place, f"unexpected {came:.40}: expected {expected}{sign_or_word(excerpt.text, place)}")
 
 
 def _check_depth(excerpt: Excerpt, tree: Branch) -> None:

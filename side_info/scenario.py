@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Final, Literal, Self
@@ -10,6 +11,7 @@ from fleet_bus.errors import ScenarioError
 from fleet_bus.messages import VehicleProfile
 from side_info.angles import misused_angle
 from side_info.document import ScenarioFields, read_fields
+from side_info.document_files import read_document
 from side_info.expression import Last, Steps, nodes_of
 from side_info.formula import Formula
 from side_info.normal import Normal, reach_ns
@@ -101,11 +103,16 @@ class Scenario:
             text = _SHIPPED.joinpath(f"{name_or_path}.yaml").read_text(encoding="utf-8")
             return cls.parse(text, f"{name_or_path}.yaml")
         try:
-            text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            raise ScenarioError(
-                f"{name_or_path!s:.200}: cannot be read: {error}; expected a file or one of {', '.join(shipped())}"
-            ) from None
+            text = read_document(Path(name_or_path))
+        except FileNotFoundError:
+            stem = Path(name_or_path).name.removesuffix(".yaml")
+            meant = get_close_matches(stem, shipped(), 1)
+            rest = f"did you mean {meant[0]}?" if meant else f"expected a file or one of {', '.join(shipped())}"
+            raise ScenarioError(f"no file and no shipped scenario {str(name_or_path)[:200]!r}: {rest}") from None
+        except OSError as error:
+            raise ScenarioError(f"{name_or_path!s:.200}: cannot be read: {error.strerror}") from None
+        except ValueError as error:
+            raise ScenarioError(f"{Path(name_or_path)!s:.200}: {error}") from None
         return cls.parse(text, str(name_or_path))
 
     @property
@@ -193,5 +200,5 @@ def _check_semantics(scenario: Scenario, fields: ScenarioFields, document: YamlT
         raise document.error(
             ("time", "semantics"),
             f"continuous needs to know how fast {', '.join(missing)} can change: "
-            f"add speed: {{{missing[0]}: …}} (unit per second) to time",
+            f"add speed: {{{', '.join(f'{state}: …' for state in missing)}}} (unit per second) to time",
         )

@@ -74,7 +74,9 @@ def _regions(fields: ScenarioFields, document: YamlText, forms: NormalForms) -> 
         path: Path = ("regions", name)
         if region.text is None:
             formula = _shape(path, region, fields, document)
-            forms.add_region(name, formula, Excerpt.alone("", name), tuple(region.box or ()))
+            at = document.keys[path].start_mark.index
+            excerpt = Excerpt("", document.source, document.text, (at,))
+            forms.add_region(name, formula, excerpt, tuple(region.box or ()))
         else:
             declared = Declarations(tuple(fields.state), above, fields.parameters)
             found = _read(

@@ -143,8 +143,10 @@ def look(watched: Watched) -> Look:
     try:
         with watched.path.open(encoding="utf-8") as file:
             return Look(stamp, file.read(MAX_BYTES + 1))
-    except (OSError, ValueError) as error:
-        return Look(stamp, None, f"cannot be read: {error}")
+    except OSError as error:
+        return Look(stamp, None, f"cannot be read: {error.strerror}")
+    except ValueError:
+        return Look(stamp, None, "is not UTF-8 text")
 
 
 def _stamp(path: Path) -> tuple[Stamp | None, str]:

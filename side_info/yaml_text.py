@@ -19,8 +19,8 @@ MAX_BYTES: Final = 200_000
 
 Path = tuple[str | int, ...]
 
-_INTEGER: Final = re.compile(r"[+-]?\d{1,18}")
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_INTEGER: Final = re.compile(r"[+-]?\d{1,18}", re.ASCII)
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WORDS: Final = {"true": True, "false": False, "null": None, "": None}
 
 
@@ -59,6 +59,8 @@ def read_yaml(text: str, source: str) -> YamlText:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = ", ".join(part for part in (error.context, error.problem) if part)
+        if "mapping values" in problem:
+            problem += ": put a formula that has ': ' in quotes"
         raise error_at(source, text, mark.index if mark else 0, f"not YAML: {problem}") from None
     except yaml.reader.ReaderError as error:
         raise error_at(source, text, error.position, f"not YAML: character {chr(error.character)!r}") from None

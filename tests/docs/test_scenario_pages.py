@@ -17,7 +17,7 @@ from side_info import Scenario, ScenarioError
 from side_info.declarations import FUNCTIONS, RESERVED
 from side_info.document import RegionFields, ScenarioFields, TimeFields
 from side_info.inequality import MAX_KINKS, MAX_WORK
-from side_info.lint import lint
+from side_info.lint import MANY_PREDICATES, lint
 from side_info.normal_form import MAX_PREDICATES, MAX_SIZE
 from side_info.parser import MAX_DEPTH, MAX_LENGTH
 from side_info.progression import Table
@@ -47,6 +47,7 @@ assume: >-
   and eventually[0.51:0.54](y <= 0) and always[0.51:0.54](y <= 0)
   and eventually[0.98:1.02](y <= 0)
 monitor:
+  now: "A"
   never: "eventually[0:T](A and B)"
   trivial: "always[0:T](A -> x >= -1)"
 """
@@ -87,7 +88,9 @@ def test_the_limits_are_on_the_pages() -> None:
 
 
 def test_each_warning_is_on_the_page() -> None:
-    messages = [finding.message for finding in lint(Scenario.parse(WARNED), 0.05)]
+    many = " and ".join(f"x + {k}*y >= 0" for k in range(MANY_PREDICATES))
+    documents = (WARNED, WARNED.replace("(y <= 1)", f"(y <= 1 and {many})"))
+    messages = [finding.message for text in documents for finding in lint(Scenario.parse(text), 0.05)]
     listed = first_column(section(LANGUAGE.read_text(encoding="utf-8"), "Warnings"))
 
     def shown(pattern: str, message: str) -> bool:

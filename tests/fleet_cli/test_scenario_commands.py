@@ -1,11 +1,9 @@
 """fleet scenario list, check and show, in this process."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import structlog
 from typer.testing import CliRunner, Result
 
 from fleet_bus.errors import ProfileError, ScenarioError, UsageError
@@ -25,13 +23,6 @@ regions:
 assume: always[0:1 s](P) and always[1:2 s](O)
 monitor: {early: "eventually[0:0.5 s](O)"}
 """
-
-
-@pytest.fixture(autouse=True)
-def log_as_before() -> Iterator[None]:
-    """The command sends the log of its process to the stderr of the moment, which is closed after each call here."""
-    yield
-    structlog.reset_defaults()
 
 
 def fleet(*arguments: str) -> Result:
@@ -97,6 +88,28 @@ def test_check_against_a_profile() -> None:
     assert fleet("check", "convoy", "--profile", "svea").exit_code == 0
     assert "its state 'x1' is no state of class dart" in str(wrong("check", "convoy", "--profile", "dart"))
     assert isinstance(wrong("check", "convoy", "--profile", "nowhere"), ProfileError)
+
+
+@pytest.mark.parametrize("time", ["inf", "nan", "0", "-1"])
+@pytest.mark.parametrize("command", ["check", "show"])
+def test_a_sample_time_that_is_none_is_refused(command: str, time: str) -> None:
+    done = fleet(command, "roundabout", "--sample-time", time)
+    assert done.exit_code == 2
+    assert "--sample-time" in done.output
+
+
+@pytest.mark.parametrize("offset", ["inf", "nan", "-1"])
+def test_a_clock_offset_that_is_none_is_refused(offset: str) -> None:
+    done = CliRunner().invoke(app, ["side-info", "roundabout", "--clock-offset", offset])
+    assert done.exit_code == 2
+    assert "--clock-offset" in done.output
+
+
+def test_a_vehicle_is_assigned_once() -> None:
+    names = ["roundabout", "parking-lot", "--assign", "a1=roundabout", "--assign", "a1=parking-lot"]
+    problem = CliRunner().invoke(app, ["side-info", *names]).exception
+    assert isinstance(problem, UsageError)
+    assert "--assign: a1 is assigned twice (roundabout, parking-lot); one service gives a vehicle one" in str(problem)
 
 
 def test_show_prints_formula_predicates_and_windows(touching: Path) -> None:

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from side_info import Declarations, Formula, Scenario, ScenarioError, shipped
-from side_info.lint import lint
+from side_info.lint import MANY_PREDICATES, lint
 from side_info.normal_form import NormalForms
 from side_info.satisfiability import conflicts, impossible
 from tests.side_info.corpus import DOCUMENT
@@ -19,7 +19,7 @@ time: {zero: on_start}
 regions:
   P: {box: {x1: [0, 1], x2: [0, 1]}}
   D: {disc: {center: {x1: 0, x2: 0}, radius: 2}}
-assume: D or P
+assume: G[0:1](D or P)
 monitor:
 """
 
@@ -65,7 +65,7 @@ def test_findings(formula: str, column: int, words: str) -> None:
         "G[0:1](P) and G[1.5:3](not P)",
         "F[0:9](P) and F[0:9](not P)",
         "G[0:9](x1 <= 1 or x2 >= 0) and F[2:3](D and x1 >= 1.5)",
-        "D and not P",
+        "F[0:9](D and not P)",
         "G[0:2](x1*x2 >= 3) and G[0:2](x1*x2 <= 2)",
     ],
 )
@@ -148,6 +148,26 @@ def test_what_is_called_impossible_is() -> None:
                 trace = [{"x1": chance.randint(-6, 6) / 2, "x2": chance.randint(-6, 6) / 2} for _ in range(8)]
                 assert holds(formula, trace) != sign, text
     assert certain > 50
+
+
+def test_a_formula_about_time_zero_only_is_told() -> None:
+    assert found("x1 <= 1 and D") == [
+        "10:7: x1 <= 1 and D has no always, eventually or until: it speaks about time zero only"
+    ]
+
+
+def test_many_predicates_are_told() -> None:
+    terms = " and ".join(f"x1 + {k}*x2 >= -{k + 1}" for k in range(MANY_PREDICATES))
+    text = HEAD.replace("D or P", terms) + '  a: "G[0:1](x1 <= 7)"\n'
+    messages = [str(finding) for finding in lint(Scenario.parse(text))]
+    # A requirement counts with its negation.
+    assert any(message.startswith("8:1: 66 predicates: each one costs time at every sample") for message in messages)
+
+
+@pytest.mark.parametrize("sample_time", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_sample_time_that_is_none_is_refused(sample_time: float) -> None:
+    with pytest.raises(ScenarioError, match="a sample time of"):
+        lint(Scenario.parse(DOCUMENT), sample_time)
 
 
 def test_many_alternatives_are_given_up() -> None:

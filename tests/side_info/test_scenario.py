@@ -186,16 +186,25 @@ def test_a_file_is_loaded_and_named_in_errors(tmp_path: Path) -> None:
         Scenario.load(file)
 
 
-@pytest.mark.parametrize("name", ["nowhere", "parking-lot.yml", "", "a\0b", "../parking-lot"])
-def test_what_cannot_be_loaded_says_what_ships(name: str) -> None:
-    with pytest.raises(ScenarioError, match=r"cannot be read: .*expected a file or one of .*parking-lot, .*roundabout"):
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere", "no file and no shipped scenario 'nowhere': expected a file or one of .*parking-lot, .*roundabout"),
+        ("parking-lot.yml", "did you mean parking-lot?"),
+        ("../parking-lot", "did you mean parking-lot?"),
+        ("", "is a directory"),
+        ("a\0b", "null byte"),
+    ],
+)
+def test_what_cannot_be_loaded_says_what_ships(name: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words.replace("?", r"\?")):
         Scenario.load(name)
 
 
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "lot.yaml"
     file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ScenarioError, match="cannot be read"):
+    with pytest.raises(ScenarioError, match="is not UTF-8 text"):
         Scenario.load(file)
 
 

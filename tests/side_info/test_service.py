@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
+from structlog.testing import capture_logs
 
 from fleet_bus import keys
 from fleet_bus.errors import KeyIdError
@@ -232,6 +233,33 @@ def test_a_changed_file_is_published_and_a_bad_one_refused(
     assert (last.gauges["scenarios"], last.gauges["documents_behind"]) == (2, 1)
 
 
+def test_the_log_shows_where_a_document_is_wrong_that_it_is_mended_and_who_takes_part(
+    session: zenoh.Session, viewer: zenoh.Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "planned.yaml"
+    path.write_text(PLANNED.text, encoding="utf-8")
+    service = SideInfoService(session, [PLANNED], {"svea1": "planned"}, "a", files={"planned": path})
+    with (
+        capture_logs() as logs,
+        listening(viewer, keys.service_status("side-info", "a")) as get_status,
+        running(service),
+    ):
+        path.write_text(PLANNED.text.replace("](P) and", "](Q) and"), encoding="utf-8")
+        wait_until(lambda: status(get_status()).refused == {"document_invalid": 1})
+        path.write_text(PLANNED.text, encoding="utf-8")
+        wait_until(lambda: status(get_status()).gauges["documents_behind"] == 0)
+    taking_part, refused, again = logs
+    assert taking_part == {
+        "event": "takes part", "log_level": "info", "vehicle": "svea1", "scenario": "planned",
+        "time_zero": "2026-05-01T12:00:00.000Z",
+    }  # fmt: skip
+    first, shown, caret, stays = refused["event"].splitlines()
+    assert first.startswith(f"document refused: {path}:10:21: 'Q' is not declared")
+    assert shown[caret.index("^")] == "Q"
+    assert stays == "version 1 stays published"
+    assert (again["event"], again["log_level"]) == ("document as published again", "info")
+
+
 def test_a_new_time_zero_moves_the_assignments(
     session: zenoh.Session, agent: zenoh.Session, viewer: zenoh.Session, tmp_path: Path
 ) -> None:
@@ -333,6 +361,9 @@ def test_other_refusals(session: zenoh.Session) -> None:
         SideInfoService(session, [LOT, LOT], {}, "a")
     with pytest.raises(ScenarioError, match=r"yard\.yaml: scenario 'yard' is not loaded: loaded are lot"):
         SideInfoService(session, [LOT], {}, "a", files={"yard": Path("yard.yaml")})
+    for offset in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(ScenarioError, match="the clock offset"):
+            SideInfoService(session, [LOT], {}, "a", clock_offset=offset)
     with pytest.raises(KeyIdError, match="'a b'"):
         SideInfoService(session, [LOT], {"a b": "lot"}, "a")
     with pytest.raises(KeyIdError, match="service id"):
