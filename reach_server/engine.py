@@ -8,16 +8,17 @@ from numpy.typing import NDArray
 
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import Audit, EventKind, Label, StateFlag, VehicleProfile
-from reach_server import audit, calibrated, model
+from reach_server import calibrated, model
 from reach_server.assignments import Assignments, Instants
 from reach_server.factor_sets import FactorSet
 from reach_server.figures import PlaneStrips, of_tracks, smaller
 from reach_server.fitting import Models
 from reach_server.inputs import future_inputs, limits
+from reach_server.record import Record
 from reach_server.recursion import Recursion
 from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped, wrap
 from reach_server.results import EngineEvent, Tubes
-from reach_server.rows import take, with_room
+from reach_server.rows import take
 from reach_server.sets import support
 from reach_server.sets.arrays import stack_columns
 from reach_server.tube import Knowledge, Motion, Tracks, Tube, propagate
@@ -96,14 +97,7 @@ class Engine:
         else:
             noise, received = np.zeros((self.layout.n, 0)), self.bounds.measurement
         self._assignments = Assignments(profile, noise, received, self.horizon)
-        self._predictions = audit.Predictions()
-        #: By slot: predictions checked and held, last miss, and whether a stated bound turned out to be wrong.
-        self._checked = np.zeros(0, dtype=np.int64)
-        self._inside = np.zeros(0, dtype=np.int64)
-        self._last_miss = np.zeros(0)
-        self._falsified = np.zeros(0, dtype=bool)
-        #: Stamps of samples that lay outside of their set, but not of the one without side information, by slot.
-        self._doubted: dict[int, int] = {}
+        self._record = Record()
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -124,10 +118,7 @@ class Engine:
             self._names.append(vehicle)
             self.window.grow(slot + 1)
             self._models.grow(slot + 1)
-            self._checked = with_room(self._checked, slot + 1, self._checked)
-            self._inside = with_room(self._inside, slot + 1, self._inside)
-            self._last_miss = with_room(self._last_miss, slot + 1, self._last_miss)
-            self._falsified = with_room(self._falsified, slot + 1, self._falsified)
+            self._record.grow(slot + 1)
         return slot
 
     def reset(self, vehicle: str) -> None:
@@ -135,10 +126,7 @@ class Engine:
         slot = self._slots[vehicle]
         self.window.clear(slot)
         self._models.reset(slot)
-        self._predictions.drop(slot)
-        self._checked[slot] = self._inside[slot] = self._last_miss[slot] = 0
-        self._falsified[slot] = False
-        self._doubted.pop(slot, None)
+        self._record.reset(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
         """Cut the tubes of a vehicle by a scenario from now on; raise ``ScenarioError`` if its states do not fit."""
@@ -150,8 +138,7 @@ class Engine:
 
     def audit_of(self, vehicle: str) -> Audit:
         """One-step predictions of a vehicle that were checked, and how many held."""
-        slot = self._slots[vehicle]
-        return Audit(int(self._checked[slot]), int(self._inside[slot]), float(self._last_miss[slot]))
+        return self._record.audit(self._slots[vehicle])
 
     def window_filled(self) -> NDArray[np.int64]:
         """Samples held (V,), by slot."""
@@ -208,8 +195,8 @@ class Engine:
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.
-        for slot in sorted(self._doubted.keys() & set(held.tolist())):
-            t = self._doubted.pop(slot)
+        for slot in sorted(self._record.doubted.keys() & set(held.tolist())):
+            t = self._record.doubted.pop(slot)
             if not any(event.vehicle == self._names[slot] for event in events):
                 events += self._assignments.contradict(slot, self._names[slot], t, None)
         return events
@@ -319,7 +306,7 @@ class Engine:
             # The paper's cuts are shown as they are, larger or not.
             found = [smaller(cut, whole) for cut, whole in zip(found, free, strict=True)]
         steps, free_steps = tuple(s for s, _ in found), tuple(s for s, _ in free)
-        self._predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free_steps[0])
+        self._record.predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free_steps[0])
         slots = served.slots.tolist()
         deficient = self._models.rank_deficient(served.slots).tolist()
         contradicted = self._assignments.contradicted()
@@ -364,42 +351,34 @@ class Engine:
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals)
         for row in np.flatnonzero(tube.contradicted[:count]).tolist():
             slot = int(served.slots[row])
-            if not self._falsified[slot]:
+            if not self._record.falsified[slot]:
                 message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
                 vehicle, t = self._names[slot], int(served.t[row])
                 events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
-            self._falsified[slot] = True
+            self._record.falsified[slot] = True
         return events
 
     def _check(self, batch: SampleBatch) -> list[EngineEvent]:
         """Hold the measurements against the one-step predictions that wait for them."""
         events: list[EngineEvent] = []
         slack = self.profile.tolerance * self.profile.sample_time_ns
-        for row, slot, held, excess, free_held in self._predictions.check(
-            batch, slack, self.noise_of_claim, self.layout.angles
-        ):
-            self._checked[slot] += 1
-            self._inside[slot] += held
-            if not held:
-                self._last_miss[slot] = excess
-                events += self._miss(slot, int(batch.t[row]), excess, side_information=free_held)
+        for miss in self._record.check(batch, slack, self.noise_of_claim, self.layout.angles):
+            if miss.side_information:
+                self._record.doubted[miss.slot] = miss.t
+            elif self.method != "calibrated":
+                self._record.falsified[miss.slot] = True
+                message = (
+                    f"the measured state lay outside its predicted set by {miss.excess:.3g}: "
+                    "a stated bound is wrong, widen it"
+                )
+                vehicle = self._names[miss.slot]
+                events.append(EngineEvent(EventKind.MISS, vehicle, miss.t, message, {"excess": miss.excess}))
         return events
-
-    def _miss(self, slot: int, t: int, excess: float, *, side_information: bool) -> list[EngineEvent]:
-        vehicle = self._names[slot]
-        if side_information:
-            self._doubted[slot] = t
-            return []
-        if self.method == "calibrated":
-            return []
-        self._falsified[slot] = True
-        message = f"the measured state lay outside its predicted set by {excess:.3g}: a stated bound is wrong, widen it"
-        return [EngineEvent(EventKind.MISS, vehicle, t, message, {"excess": excess})]
 
     def _label(self, slot: int) -> Label:
         if self.method == "calibrated":
             return Label.CALIBRATED
-        if self._falsified[slot]:
+        if self._record.falsified[slot]:
             return Label.CONTRADICTED
         noise = self.profile.noise
         if noise.process is None or noise.measurement is None or self._lipschitz is None:
