@@ -64,17 +64,20 @@ class Assignments:
         self._courses: dict[str, Course] = {}
         #: Stamp of the sample that began the current trajectory, by slot; 0 where none was seen.
         self._began = np.zeros(0, dtype=np.int64)
+        #: (epoch, seq) of that sample; stamps may go backwards.
+        self._began_as: dict[int, tuple[int, int]] = {}
 
-    def assign(self, slot: int, scenario: Scenario, time_zero: int, clock_offset: float) -> None:
-        """Let a scenario cut a vehicle; the same assignment again changes nothing.
+    def assign(self, slot: int, scenario: Scenario, time_zero: int, clock_offset: float) -> list[int]:
+        """Let a scenario cut a vehicle; the same assignment again changes nothing. Slots for which something changed.
 
         Another document of the same name replaces it for every vehicle that takes part, from its time zero on.
         """
-        course = self._courses.get(scenario.name)
+        course = before = self._courses.get(scenario.name)
         if course is None or course.scenario.text != scenario.text:
             course = self._replace(course, scenario)
-        course.assign(slot, time_zero, int(np.ceil(clock_offset * 1e9)))
+        replaced = np.flatnonzero(course.assigned).tolist() if course is not before else []
         self._began = with_room(self._began, slot + 1, self._began)
+        return [slot, *replaced] if course.assign(slot, time_zero, int(np.ceil(clock_offset * 1e9))) else replaced
 
     def _replace(self, before: Course | None, scenario: Scenario) -> Course:
         index = scenario.state_indices(self._profile)
@@ -112,10 +115,12 @@ class Assignments:
         if course is not None and slot < len(course.assigned):
             course.assigned[slot] = False
 
-    def began(self, slots: Slots, t: Ints) -> None:
+    def began(self, slots: Slots, t: Ints, order: Sequence[tuple[int, int]]) -> None:
         """Trajectories begin (B,): a scenario that begins with the vehicle says nothing about a later trajectory."""
         self._began = with_room(self._began, int(slots.max()) + 1, self._began)
-        np.maximum.at(self._began, slots, t)
+        for slot, stamp, key in zip(slots.tolist(), t.tolist(), order, strict=True):
+            if key > self._began_as.get(slot, (-1, -1)):
+                self._began[slot], self._began_as[slot] = stamp, key
 
     def contradicted(self) -> set[int]:
         """Slots of the vehicles of which a scenario turned out to be false."""
@@ -186,8 +191,8 @@ class Assignments:
         t, x = samples.t.reshape(-1), samples.x.reshape(-1, samples.x.shape[2])
         known = self._status_of_received(course, t, x, np.repeat(slots, count), own)
         by_sample = known.reshape(len(slots), count, len(own))
-        # Stamps ahead of the newest sample's were wrong: the clock has been set back since.
-        valid = samples.valid & (samples.t <= samples.t[:, -1:])
+        # Stamps ahead of a later sample's were wrong: the clock has been set back since.
+        valid = samples.valid & (samples.t <= np.minimum.accumulate(samples.t[:, ::-1], axis=1)[:, ::-1])
         for column in range(count):
             rows = np.flatnonzero(valid[:, column])
             t = samples.t[rows, column]
@@ -208,7 +213,10 @@ class Assignments:
         half = np.abs(self._received).sum(axis=1)
         context = self.context(course, Instants(slots, t, x - half, x + half), np.zeros(len(t), dtype=np.intp))
         generators = np.broadcast_to(self._received, (len(t), *self._received.shape))
-        return self.literals.status(literals.tolist(), x, generators, context)
+        status = self.literals.status(literals.tolist(), x, generators, context)
+        # Of a received sample itself the way from the last one is not known.
+        status[:, self.literals.looks_back[literals]] = 0
+        return status
 
     def obligations(self, slots: Slots) -> tuple[Slots, NDArray[np.int64], NDArray[np.bool_]]:
         """What the scenarios ask of vehicles (B,) from their newest sample on: row (R,) of ``slots``, ascending, and
@@ -280,14 +288,18 @@ class Assignments:
         found: list[list[int]] = np.stack(ahead, axis=1).tolist()
         return found
 
-    def contradict(self, slot: int, vehicle: str, t: int, literals: Sequence[int] | None) -> list[EngineEvent]:
-        """Stop cutting a vehicle by the scenarios of some literals that left nothing, or by all of its scenarios."""
+    def contradict(
+        self, slot: int, vehicle: str, t: int, literals: Sequence[int] | None, ahead: int = 0
+    ) -> list[EngineEvent]:
+        """Stop cutting a vehicle by the scenarios of some literals that left nothing, or by all that ask something;
+        ``ahead``: how many ns after the stamp ``t`` nothing was left."""
         events: list[EngineEvent] = []
-        owners = {self.literals.scenario(literal) for literal in literals or ()} or set(self._courses)
+        asking = {name for name, course in self._courses.items() if course.asks(slot)}
+        owners = {self.literals.scenario(literal) for literal in literals or ()} or asking
         for name in sorted(owners):
             course = self._courses[name]
             own = tuple(o for o in literals or () if self.literals.scenario(o) == name)
-            events += self._contradict(course, slot, vehicle, t, own)
+            events += self._contradict(course, slot, vehicle, t, own, ahead)
         return events
 
     def of_others(self, acted: NDArray[np.bool_], blamed: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -297,16 +309,17 @@ class Assignments:
         return np.asarray(acted & np.array(others, dtype=bool))
 
     def _contradict(
-        self, course: Course, slot: int, vehicle: str, t: int, literals: Sequence[int]
+        self, course: Course, slot: int, vehicle: str, t: int, literals: Sequence[int], ahead: int = 0
     ) -> list[EngineEvent]:
         if slot >= len(course.assigned) or not course.assigned[slot] or course.contradicted[slot]:
             return []
         course.contradicted[slot] = True
         name = course.scenario.name
-        elapsed = (t - int(course.zero[slot])) / 1e9
+        elapsed = (t + ahead - int(course.zero[slot])) / 1e9
         predicates = ", ".join(dict.fromkeys(self.literals.name(literal) for literal in literals))
         by = f" ({predicates})" if predicates else ""
-        message = f"scenario {name}{by} contradicts what was measured at {elapsed:.3f} s: it no longer cuts {vehicle}"
+        what = "what can be reached" if ahead else "what was measured"
+        message = f"scenario {name}{by} contradicts {what} at {elapsed:.3f} s: it no longer cuts {vehicle}"
         details = {"scenario": name, "predicate": predicates, "elapsed": elapsed}
         return [EngineEvent(EventKind.CONTRADICTION, vehicle, t, message, details)]
 

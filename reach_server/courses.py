@@ -10,7 +10,7 @@ from reach_server.rows import with_room
 from reach_server.windows import Ints
 from side_info import Scenario
 from side_info.connectives import bounds_ns
-from side_info.progression import DEAD, Grid, Table
+from side_info.progression import DEAD, TRUE, Grid, Table
 
 #: Name of the formula that is taken as true, beside those of the requirements.
 ASSUME = ""
@@ -83,16 +83,23 @@ class Course:
             pursuit.before = with_room(pursuit.before, slots, pursuit.before)
             pursuit.after = with_room(pursuit.after, slots, pursuit.after)
 
-    def assign(self, slot: int, zero: int, slack: int) -> None:
-        """Let a vehicle take part, from its time zero (ns) known up to ``slack`` ns; the same again changes nothing."""
+    def assign(self, slot: int, zero: int, slack: int) -> bool:
+        """Let a vehicle take part, from its time zero (ns) known up to ``slack`` ns; whether that is anything new."""
         self.grow(slot + 1)
         if self.assigned[slot] and (self.zero[slot], self.slack[slot]) == (zero, slack):
-            return
+            return False
         self.zero[slot], self.slack[slot] = zero, slack
         self.assigned[slot], self.contradicted[slot] = True, False
         self._jitters[slot] = False
         self._restart(slot)
         self._seen[slot] = np.iinfo(np.int64).min
+        return True
+
+    def asks(self, slot: int) -> bool:
+        """Whether the scenario asks anything of a vehicle from its newest sample on."""
+        if slot >= len(self.assigned) or not (self.assigned[slot] and self._started[slot]):
+            return False
+        return self._table.members(int(self.pursuits[ASSUME].before[slot])) != (TRUE,)
 
     def _root(self, name: str, slot: int) -> int:
         """Belief of a vehicle about a formula at its first place."""

@@ -130,11 +130,15 @@ class Engine:
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
         """Cut the tubes of a vehicle by a scenario from now on; raise ``ScenarioError`` if its states do not fit."""
-        self._assignments.assign(self.add(vehicle), scenario, time_zero, clock_offset)
+        for slot in self._assignments.assign(self.add(vehicle), scenario, time_zero, clock_offset):
+            # What another scenario has cut must not be held against this one.
+            self._record.predictions.drop(slot)
 
     def unassign(self, vehicle: str, scenario: str) -> None:
         """Stop cutting the tubes of a vehicle by a scenario."""
-        self._assignments.unassign(self.add(vehicle), scenario)
+        slot = self.add(vehicle)
+        self._assignments.unassign(slot, scenario)
+        self._record.predictions.drop(slot)
 
     def audit_of(self, vehicle: str) -> Audit:
         """One-step predictions of a vehicle that were checked, and how many held."""
@@ -150,7 +154,8 @@ class Engine:
         recorded = batch.flags & int(StateFlag.HISTORY) != 0
         begins = ~recorded & ((batch.flags & int(StateFlag.NEW_TRAJECTORY) != 0) | (batch.seq == 0))
         if begins.any():
-            self._assignments.began(batch.vehicle[begins], batch.t[begins])
+            order = list(zip(batch.epoch[begins].tolist(), batch.seq[begins].tolist(), strict=True))
+            self._assignments.began(batch.vehicle[begins], batch.t[begins], order)
         appended = self.window.append(batch)
         self._models.count(batch.vehicle)
         return appended, tuple(events)
@@ -191,7 +196,9 @@ class Engine:
             return []
 
         def block(wanted: NDArray[np.intp], length: int) -> Block:
-            return self.window.block(wanted, min(length, self.window.size))
+            samples = self.window.block(wanted, min(length, self.window.size))
+            # What was recorded before the vehicle started is no part of what scenarios speak about.
+            return replace(samples, valid=samples.valid & ~self.window.recorded(wanted, samples.t.shape[1]))
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.
@@ -310,6 +317,8 @@ class Engine:
         slots = served.slots.tolist()
         deficient = self._models.rank_deficient(served.slots).tolist()
         contradicted = self._assignments.contradicted()
+        emptied = np.zeros(count, dtype=bool)
+        emptied[tracks.vehicle[count:]] = ~sound
         return Tubes(
             tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times, steps, free_steps,
             np.stack([f.area for _, f in found], axis=1), np.stack([f.area for _, f in free], axis=1),
@@ -317,8 +326,8 @@ class Engine:
             tuple(self._label(slot) for slot in slots), self.method,
             self._assignments.describe(tube.acted[chosen, 1:]),
             tuple(
-                self._notes(rank_deficient=bad, contradicted=slot in contradicted)
-                for slot, bad in zip(slots, deficient, strict=True)
+                self._notes(rank_deficient=bad, contradicted=slot in contradicted, emptied=nothing)
+                for slot, bad, nothing in zip(slots, deficient, emptied.tolist(), strict=True)
             ),
             self._verdicts(instants, steps), tuple(events), waiting,
         )  # fmt: skip
@@ -340,15 +349,17 @@ class Engine:
         """Events where cuts left nothing, and where the data excludes the stated bounds."""
         events: list[EngineEvent] = []
         count = len(served.slots)
-        for track in np.flatnonzero(tube.ended >= 0).tolist():
+        # A calibrated set may be wrong itself: only what was measured contradicts for good.
+        final = tube.ended >= 0 if self.method != "calibrated" else np.zeros(tracks.count, dtype=bool)
+        for track in np.flatnonzero(final).tolist():
             row = int(tracks.vehicle[track])
             # What cut before may be as wrong as what left nothing: all scenarios that took part are named.
             before = tube.acted[track].any(axis=0)
             literals = np.flatnonzero(
                 tube.blamed[track] | self._assignments.of_others(before, tube.blamed[track])
             ).tolist()
-            slot = int(served.slots[row])
-            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals)
+            slot, ahead = int(served.slots[row]), int(tube.ended[track]) * self.profile.sample_time_ns
+            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
         for row in np.flatnonzero(tube.contradicted[:count]).tolist():
             slot = int(served.slots[row])
             if not self._record.falsified[slot]:
@@ -385,7 +396,7 @@ class Engine:
             return Label.UNCOVERED
         return Label.GUARANTEED if self.profile.guaranteed else Label.CALIBRATED
 
-    def _notes(self, *, rank_deficient: bool, contradicted: bool) -> tuple[str, ...]:
+    def _notes(self, *, rank_deficient: bool, contradicted: bool, emptied: bool) -> tuple[str, ...]:
         notes = ["rank deficient"] if rank_deficient else []
         if self.method == "calibrated":
             notes += [] if self._planned else ["learned driver"]
@@ -393,6 +404,8 @@ class Engine:
             notes.append("no Lipschitz bound")
         if contradicted:
             notes.append("side information contradicted")
+        elif emptied:
+            notes.append("side information left nothing")
         return tuple(notes)
 
 

@@ -157,7 +157,8 @@ def _narrowed(
     parent = expansion.parent
     track = branches.track[parent]
     asked = table.masks(expansion.literal_set, knowledge.literals.count)
-    cutting = asked if tested is None else asked & tested[track][:, None]
+    # A received sample has come no way yet.
+    cutting = asked if tested is None else asked & tested[track][:, None] & ~knowledge.literals.looks_back
     cut = cut_sets(
         take(branches.sets, parent), cutting, knowledge.literals, knowledge.contexts(k, track),
         knowledge.cuts, n, knowledge.plane,

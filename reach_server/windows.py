@@ -229,6 +229,11 @@ class Window:
         input_known = valid & (flags & int(StateFlag.INPUT_MISSING) == 0)
         return Block(t, self._x[rows, order], self._u[rows, order], valid, input_known, linked)
 
+    def recorded(self, slots: NDArray[np.intp], length: int) -> NDArray[np.bool_]:
+        """Which of the newest ``length`` samples of some vehicles (B, length) were recorded before their start."""
+        order = self._order(slots)[:, self.size - length :]
+        return np.asarray(self._flags[slots[:, None], order] & int(StateFlag.HISTORY) != 0)
+
     def newest(
         self, slots: NDArray[np.intp]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], Ints, NDArray[np.uint32]]:

@@ -13,6 +13,7 @@ from reach_server.predicates.linear import FixedStrips, LinearCutter
 from reach_server.predicates.nonlinear import NonlinearCutter
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.intervals import EPS
+from side_info.expression import Last, Steps, nodes_of
 from side_info.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
 
@@ -21,6 +22,7 @@ class _Entry:
     scenario: str
     name: str
     cutter: Cutter
+    looks_back: bool
 
 
 class Literals:
@@ -64,8 +66,13 @@ class Literals:
             noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
             cutter = self._compiled(predicate, index, Blur(noise, motion, margin))
             self._known[key] = len(self._entries)
-            self._entries.append(_Entry(scenario, name, cutter))
+            self._entries.append(_Entry(scenario, name, cutter, _looks_back(predicate)))
         return self._known[key]
+
+    @property
+    def looks_back(self) -> Mask:
+        """Which literals (L,) speak about the way from the last received sample."""
+        return np.array([entry.looks_back for entry in self._entries], dtype=bool)
 
     @property
     def count(self) -> int:
@@ -120,6 +127,12 @@ class Literals:
         cutter = NonlinearCutter(field, self._n, blur)
         region = ellipsoid_strips(cutter.field, self._n, blur)
         return cutter if region is None else BoundedCutter(region, cutter)
+
+
+def _looks_back(predicate: Predicate) -> bool:
+    if not isinstance(predicate, NonlinearPredicate):
+        return False
+    return any(isinstance(node, Last | Steps) for node in nodes_of(predicate.expression))
 
 
 def _content(predicate: Predicate) -> tuple[object, ...]:

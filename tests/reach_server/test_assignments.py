@@ -221,7 +221,7 @@ def test_a_scenario_that_begins_with_the_vehicle_ends_with_its_trajectory() -> N
     watched = Watched()
     watched.made.assign(0, box(window="0:3 s"), START, 0.0)
     watched.see(0, 0.0)
-    watched.made.began(np.array([0]), np.array([START + STEP]))
+    watched.made.began(np.array([0]), np.array([START + STEP]), [(1, 2)])
     assert not watched.see(0, 0.1, OUTSIDE)
     assert watched.asked(0) == []
     watched.made.assign(0, box(window="0:3 s"), START + STEP, 0.0)
@@ -246,6 +246,7 @@ def test_the_same_assignment_again_forgives_nothing_another_one_does() -> None:
     assert made.contradicted() == {0}
     made.assign(0, document, START + S, 0.0)
     assert not made.contradicted()
+    watched.see(0, 0.9)
     assert made.contradict(0, "car-0", START, None)
     # Another document of the same name takes the place of the first, for every vehicle.
     made.assign(1, box(window="0:4 s"), START, 0.0)
@@ -258,6 +259,9 @@ def test_a_miss_that_no_predicate_explains_ends_all_scenarios() -> None:
     watched = Watched()
     for name in ("box", "other"):
         watched.made.assign(0, box(name), START, 0.0)
+    watched.made.assign(0, box("over", "0:100 ms"), START - S, 0.0)
+    watched.made.assign(0, box("to-come"), START + 90 * S, 0.0)
+    watched.see(0, 0.5)
     events = watched.made.contradict(0, "car-0", START, None)
     assert [event.details["scenario"] for event in events] == ["box", "other"]
     assert not watched.made.contradict(0, "car-0", START, None)
@@ -397,3 +401,19 @@ def test_a_stamp_that_strays_into_a_window_that_ends_between_samples_may_be_the_
         assert not watched.see(0, k / 10)
     assert not watched.see(0, 0.53, [0.0, 1.0, 0.0])
     assert not watched.see(0, 0.6)
+
+
+def test_of_a_received_sample_the_way_from_the_last_one_is_not_known() -> None:
+    watched = Watched()
+    watched.made.assign(0, scenario("eventually[0:1 s](x1 - last(x1) >= 0.1)"), START, 0.0)
+    for k in range(14):
+        assert not watched.see(0, k / 10, [0.0, 0.15 * k, 0.0])
+
+
+def test_a_trajectory_that_begins_with_earlier_stamps_is_the_current_one() -> None:
+    watched = Watched()
+    watched.made.began(np.array([0]), np.array([START + 50 * S]), [(1, 0)])
+    watched.made.began(np.array([0]), np.array([START + 10 * S]), [(2, 0)])
+    watched.made.began(np.array([0]), np.array([START + 60 * S]), [(1, 7)])
+    watched.made.assign(0, box(window="0:3 s"), START + 10 * S, 0.0)
+    assert watched.see(0, 10.1, OUTSIDE)

@@ -386,3 +386,29 @@ def test_tubes_are_dated_from_the_newest_sample() -> None:
     assert int(tubes.seq[0]) == NOW - 1
     np.testing.assert_array_equal(tubes.times[0], START + (NOW - 1 + np.arange(1, 11)) * SVEA.dt_ns)
     assert block_of(drive.measured[:3], drive.inputs[:3]).x.shape == (1, 3, 4)
+
+
+def test_what_was_recorded_before_the_start_contradicts_nothing() -> None:
+    """A scenario with a time zero of its own does not judge what the agent brought along."""
+    drive = history(2)
+    engine = engine_of()
+    engine.append(samples_of(drive, 0, NOW, flags=StateFlag.HISTORY))
+    there = drive.truth[NOW, :2]
+    side = Scenario.parse(
+        "scenario: now\nversion: 1\nstate: {x1: m, x2: m}\ntime: {zero: '2001-09-09T01:46:40Z'}\n"
+        f"assume: 'always[0:100 s](norm(x1 - {there[0]}, x2 - {there[1]}) <= 0.5)'\n"
+    )
+    assert (np.linalg.norm(drive.truth[:NOW, :2] - there, axis=1) > 1).any()
+    engine.assign("car-0", side, START)
+    assert not engine.step(samples_of(drive, NOW, NOW + 1), plan_of([drive], NOW)).events
+
+
+def test_a_document_that_mends_another_is_not_blamed_for_it() -> None:
+    drive = history(3)
+    engine = engine_of()
+    engine.append(samples_of(drive, 0, NOW))
+    there = drive.truth[NOW + 1, :2]
+    engine.assign("car-0", box_scenario(there - 9, there - 0.01, window="0.05:0.05 s"), START + NOW * SVEA.dt_ns)
+    engine.step(samples_of(drive, NOW, NOW + 1), plan_of([drive], NOW))
+    engine.assign("car-0", box_scenario(there - 99, there + 99), START + NOW * SVEA.dt_ns)
+    assert not engine.step(samples_of(drive, NOW + 1, NOW + 2), plan_of([drive], NOW + 1)).events
