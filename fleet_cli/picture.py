@@ -79,7 +79,7 @@ def _draw_region(axis: Axes, monitor: Monitor, scenario: Scenario, vehicles: lis
     for number in np.flatnonzero(activity(scenario, profile.sample_time).always[step]).tolist():
         predicate = scenario.predicates[number]
         literals.add(predicate, index, scenario=scenario.name, name=predicate.name)
-    strips = PlaneStrips.of(literals, len(profile.state), profile.position)
+    strips = PlaneStrips.of(literals, range(literals.count), len(profile.state), profile.position)
     vertices = FAR * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     for c in range(len(strips.literal)):
         vertices = planar.clip(vertices, strips.normal[c], np.array(strips.upper[c]))

@@ -230,10 +230,12 @@ class Assignments:
             tested &= ~acts | course.tested[slots]
         cases, inverse = np.unique(beliefs, axis=0, return_inverse=True)
         options = [self._joint(tuple(case)) for case in cases.tolist()]
-        counts = np.array([len(o) for o in options], dtype=np.intp)[inverse.ravel()]
+        sizes = np.array([len(o) for o in options], dtype=np.intp)
+        first, counts = (np.cumsum(sizes) - sizes)[inverse.ravel()], sizes[inverse.ravel()]
         rows = np.repeat(np.arange(len(slots)), counts)
-        found = [options[case] for case in inverse.ravel().tolist()]
-        return rows, np.array([o for part in found for o in part], dtype=np.int64), tested
+        within = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+        every = np.array([o for option in options for o in option], dtype=np.int64)
+        return rows, every[first[rows] + within], tested
 
     def _joint(self, beliefs: tuple[int, ...]) -> tuple[int, ...]:
         """Obligations of which one holds, given a belief about each scenario; none where nothing is asked."""

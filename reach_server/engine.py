@@ -11,7 +11,7 @@ from fleet_bus.messages import Audit, EventKind, Label, StateFlag, VehicleProfil
 from reach_server import calibrated, model
 from reach_server.assignments import Assignments, Instants
 from reach_server.factor_sets import FactorSet
-from reach_server.figures import PlaneStrips, of_tracks, smaller
+from reach_server.figures import PlaneStrips, of_tracks, where_smaller
 from reach_server.fitting import Models
 from reach_server.inputs import future_inputs, limits
 from reach_server.record import Record
@@ -303,15 +303,20 @@ class Engine:
         """The result of a round; where cuts leave nothing, the sets without cuts and an event."""
         count = len(served.slots)
         events = self._contradictions(served, tube, tracks)
-        chosen, sound = np.arange(count), tube.ended[count:] < 0
-        chosen[tracks.vehicle[count:][sound]] = count + np.flatnonzero(sound)
+        sound = tube.ended[count:] < 0
+        cut, rows = count + np.flatnonzero(sound), tracks.vehicle[count:][sound]
+        chosen = np.arange(count)
+        chosen[rows] = cut
         plane = self.profile.position
-        strips = PlaneStrips.of(self._assignments.literals, self.layout.n, plane)
+        acted = np.flatnonzero(tube.acted.any(axis=(0, 1))).tolist()
+        strips = PlaneStrips.of(self._assignments.literals, acted, self.layout.n, plane)
         free = [of_tracks(step, np.arange(count), strips, plane) for step in tube.steps[1:]]
-        found = [of_tracks(step, chosen, strips, plane) for step in tube.steps[1:]]
-        if self.profile.cuts != "frobenius":
-            # The paper's cuts are shown as they are, larger or not.
-            found = [smaller(cut, whole) for cut, whole in zip(found, free, strict=True)]
+        # The paper's cuts are shown as they are, larger or not.
+        always = self.profile.cuts == "frobenius"
+        found = [
+            where_smaller(whole, of_tracks(step, cut, strips, plane), rows, always=always) if len(rows) else whole
+            for step, whole in zip(tube.steps[1:], free, strict=True)
+        ]
         steps, free_steps = tuple(s for s, _ in found), tuple(s for s, _ in free)
         self._record.predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free_steps[0])
         slots = served.slots.tolist()

@@ -1,5 +1,6 @@
 """How sets become the figures of constant size that are published: area, outline, box, zonotope."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,11 +55,11 @@ class PlaneStrips:
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp))
 
     @classmethod
-    def of(cls, literals: Literals, n: int, plane: tuple[int, int]) -> "PlaneStrips":
-        """Those of some literals over n states."""
+    def of(cls, literals: Literals, chosen: Iterable[int], n: int, plane: tuple[int, int]) -> "PlaneStrips":
+        """Those of the ``chosen`` ones of some literals over n states."""
         found = [cls.none()]
         others = [i for i in range(n) if i not in plane]
-        for literal in range(literals.count):
+        for literal in chosen:
             if not literals.fixed(literal):
                 continue
             strips, _ = literals.strips(literal, np.zeros((0, n)), np.zeros((0, n, 0)), NOWHERE)
@@ -121,28 +122,25 @@ def joined(each: Figures, owner: NDArray[np.intp], center: Floats, around: Float
 def of_tracks(
     step: Branches, chosen: NDArray[np.intp], strips: PlaneStrips, plane: tuple[int, int]
 ) -> tuple[FactorSet, Figures]:
-    """For each chosen track (B,), each with a branch: a set around its branches, and their figures."""
-    order = np.argsort(chosen)
-    place = np.full(int(step.track.max(initial=-1)) + 1, -1, dtype=np.intp)
-    place[chosen] = np.arange(len(chosen))
-    rows = np.flatnonzero(place[step.track] >= 0)
-    rows = rows[np.argsort(place[step.track[rows]], kind="stable")]
-    owner = place[step.track[rows]]
-    around: FactorSet = take(united(step, chosen[order]), np.argsort(order))
+    """For each chosen track (B,), ascending, each with a branch: a set around its branches, and their figures."""
+    rows = np.flatnonzero(np.isin(step.track, chosen))
+    owner = np.searchsorted(chosen, step.track[rows])
+    around = united(step, chosen)
     each = figures(take(step.sets, rows), step.within[rows], strips, plane)
     return around, joined(each, owner, step.sets.center[rows], around.center, plane)
 
 
-def smaller(cut: tuple[FactorSet, Figures], free: tuple[FactorSet, Figures]) -> tuple[FactorSet, Figures]:
-    """Of two sets around the same states, one by one, the one of less area; the first where they are equal."""
-    rows = np.flatnonzero(cut[1].area > free[1].area)
-    if not len(rows):
-        return cut
-    chosen = Figures(*(array.copy() for array in (cut[1].area, cut[1].heights, cut[1].hull)))
-    chosen.area[rows], chosen.heights[rows], chosen.hull[rows] = (
-        array[rows] for array in (free[1].area, free[1].heights, free[1].hull)
-    )
-    return replace_rows(cut[0], rows, take(free[0], rows)), chosen
+def where_smaller(
+    free: tuple[FactorSet, Figures], cut: tuple[FactorSet, Figures], rows: NDArray[np.intp], *, always: bool
+) -> tuple[FactorSet, Figures]:
+    """``free`` (B,) with those of ``rows`` replaced by ``cut`` (K,) where that has no greater area, or ``always``."""
+    better = np.flatnonzero((cut[1].area <= free[1].area[rows]) | always)
+    if not len(better):
+        return free
+    chosen = Figures(free[1].area.copy(), free[1].heights.copy(), free[1].hull.copy())
+    for name in Figures.__slots__:
+        getattr(chosen, name)[rows[better]] = getattr(cut[1], name)[better]
+    return replace_rows(free[0], rows[better], take(cut[0], better)), chosen
 
 
 def _clipped(

@@ -38,7 +38,7 @@ def strips(*cuts: tuple[list[float], float, float]) -> PlaneStrips:
         coefficients = {f"s{i}": c for i, c in enumerate(normal) if c}
         predicate = LinearPredicate(f"p{number}", coefficients, lower, upper)
         literals.add(predicate, index, scenario="s", name=predicate.name)
-    return PlaneStrips.of(literals, n, PLANE)
+    return PlaneStrips.of(literals, range(literals.count), n, PLANE)
 
 
 def factor_set(case: Raw) -> FactorSet:
