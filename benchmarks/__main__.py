@@ -21,6 +21,7 @@ NAMES = (
     "growth",
     "progression",
     "encodings",
+    "disc",
 )
 
 
@@ -41,6 +42,7 @@ def main(words: list[str] | None = None) -> int:
         os.environ.setdefault(variable, "1")
     from benchmarks import (
         constraints,
+        disc,
         encodings,
         engine,
         growth,
@@ -56,7 +58,7 @@ def main(words: list[str] | None = None) -> int:
     work = {
         "engine": engine.run, "wire": wire.run, "support": support.run, "outline": outline.run, "strips": strips.run,
         "constraints": constraints.run, "vehicles": vehicles.run, "growth": growth.run,
-        "progression": progression.run, "encodings": encodings.run,
+        "progression": progression.run, "encodings": encodings.run, "disc": disc.run,
     }  # fmt: skip
     tables = {}
     for name in arguments.names or NAMES:
