@@ -28,16 +28,7 @@ def _as_unit(value: object) -> object:
     return {"unit": value} if isinstance(value, str) else value
 
 
-class StateSpec(_Part):
-    """One state: its unit, and whether it is an angle that wraps."""
-
-    unit: Annotated[str, Field(max_length=16)]
-    angle: bool = False
-
-
-class InputSpec(_Part):
-    """One input: unit, actuator limits and rate limit (unit per second), None where not known."""
-
+class _Quantity(_Part):
     unit: Annotated[str, Field(max_length=16)]
     limits: Limits | None = None
     rate: Annotated[float, Field(gt=0)] | None = None
@@ -47,6 +38,17 @@ class InputSpec(_Part):
         if self.limits is not None and not self.limits[0] <= self.limits[1]:
             raise ValueError(f"limits {list(self.limits)} are reversed")
         return self
+
+
+class StateSpec(_Quantity):
+    """One state: its unit, whether it is an angle that wraps, and what holds of it whatever the data says: its limits,
+    and how fast it can change (unit per second); None where not known."""
+
+    angle: bool = False
+
+
+class InputSpec(_Quantity):
+    """One input: unit, actuator limits and rate limit (unit per second), None where not known."""
 
 
 class NoiseSet(_Part):
@@ -125,13 +127,17 @@ class VehicleProfile(Document):
     frame: Literal["world", "body"] = "world"
     input_lags: Annotated[int, Field(ge=0, le=32)] = 0
     window: Annotated[int, Field(ge=8, le=100_000)] = 1000
+    reservoir: Annotated[int, Field(ge=0, le=100_000, description="older samples kept beside the window")] = 0
+    nearest: Annotated[int, Field(ge=1, le=100_000, description="data that bound the residual at a set")] = 64
     noise: Noise = Noise()
     lipschitz: Lipschitz | None = None
     future_inputs: Literal["limits", "rate", "plan", "learned"] = "rate"
+    filtered: Annotated[bool, Field(description="intersect a received state with what was predicted for it")] = False
     confidence: Annotated[float, Field(gt=0.5, lt=1)] = 0.99
+    margin: Annotated[Literal["step", "tube"], Field(description="what the confidence speaks about")] = "step"
     roles: Roles = Roles()
     horizon: Annotated[int, Field(ge=1, le=200)] = 10
-    method: Literal["default", "calibrated", "set_membership", "residual_hull", "paper"] = "default"
+    method: Literal["default", "calibrated", "set_membership", "residual_hull", "paper", "lti"] = "default"
     cuts: Literal["zonotope", "constrained", "frobenius"] = "zonotope"
     maps_to: dict[Name, Name] = Field(default_factory=dict)
 
