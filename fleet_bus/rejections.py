@@ -23,11 +23,11 @@ class Rejections:
         self._next_log = -float("inf")
         self._unlogged = 0
 
-    def count(self, error: MessageError, key: str) -> None:
-        """Count one refusal; log the first and then at most one a second, with how many were not logged."""
+    def count(self, error: MessageError, key: str, times: int = 1) -> None:
+        """Count refusals of one kind; log the first and then at most one a second, with how many were not logged."""
         with self._lock:
-            self._counts[error.reason] += 1
-            self._unlogged += 1
+            self._counts[error.reason] += times
+            self._unlogged += times
             now = self._clock()
             if now < self._next_log:
                 return

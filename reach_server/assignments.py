@@ -13,7 +13,7 @@ from reach_server.courses import ASSUME, Course
 from reach_server.cuts import Contexts
 from reach_server.predicates import Context, Literals, Series
 from reach_server.results import EngineEvent
-from reach_server.rows import take, with_room
+from reach_server.rows import distinct, take, with_room
 from reach_server.sets.arrays import Array
 from reach_server.tube import MOST_BRANCHES, StepContexts
 from reach_server.verdicts import verdict
@@ -228,10 +228,12 @@ class Assignments:
             acts = self._speaks(course, slots) & ~course.contradicted[slots] & course.started(slots)
             beliefs[acts, column] = course.pursuits[ASSUME].before[slots[acts]]
             tested &= ~acts | course.tested[slots]
-        cases, inverse = np.unique(beliefs, axis=0, return_inverse=True)
-        options = [self._joint(tuple(case)) for case in cases.tolist()]
+        if not self._courses:
+            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.int64), tested
+        cases, which = distinct(beliefs)
+        options = [self._joint(tuple(case)) for case in cases]
         sizes = np.array([len(o) for o in options], dtype=np.intp)
-        first, counts = (np.cumsum(sizes) - sizes)[inverse.ravel()], sizes[inverse.ravel()]
+        first, counts = (np.cumsum(sizes) - sizes)[which], sizes[which]
         rows = np.repeat(np.arange(len(slots)), counts)
         within = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
         every = np.array([o for option in options for o in option], dtype=np.int64)
@@ -246,6 +248,11 @@ class Assignments:
             weaker = self.table.cap(joint, MOST_BRANCHES)
             joint = self.table.antichain([weaker[o] for o in joint])
         return () if joint == (TRUE,) else joint
+
+    @property
+    def requires(self) -> bool:
+        """Whether some scenario has requirements."""
+        return any(course.scenario.requirements for course in self._courses.values())
 
     def contexts(self, instants: Instants) -> StepContexts:
         """What predicates refer to at the instants and after them."""
@@ -327,15 +334,27 @@ class Assignments:
 
     def describe(self, acted: NDArray[np.bool_]) -> tuple[tuple[Cut, ...], ...]:
         """For each vehicle the predicates that acted, from (B, N, L) over steps 1 to N."""
-        described: list[tuple[Cut, ...]] = []
-        for row in acted:
-            ranges: dict[tuple[str, str], tuple[int, int]] = {}
-            for step, literal in zip(*(a.tolist() for a in np.nonzero(row)), strict=True):
-                key = (self.literals.scenario(literal), self.literals.name(literal))
-                first, last = ranges.get(key, (step + 1, step + 1))
-                ranges[key] = (min(first, step + 1), max(last, step + 1))
-            described.append(tuple(Cut(name, predicate, *span) for (name, predicate), span in ranges.items()))
-        return tuple(described)
+        owners = [(self.literals.scenario(i), self.literals.name(i)) for i in range(acted.shape[2])]
+        predicates = list(dict.fromkeys(owners))
+        if len(predicates) < len(owners):
+            # The same predicate at several margins.
+            merged = np.zeros((*acted.shape[:2], len(predicates)), dtype=bool)
+            for literal, owner in enumerate(owners):
+                merged[..., predicates.index(owner)] |= acted[..., literal]
+            acted = merged
+        steps = acted.shape[1]
+        first, last = acted.argmax(axis=1) + 1, steps - acted[:, ::-1].argmax(axis=1)
+        # Most vehicles of a fleet are cut in one of a few ways.
+        ways, which = distinct(np.where(acted.any(axis=1), first * (steps + 1) + last, 0))
+        described = [
+            tuple(
+                Cut(*predicate, *divmod(span, steps + 1))
+                for predicate, span in zip(predicates, way, strict=True)
+                if span
+            )
+            for way in ways
+        ]
+        return tuple(described[way] for way in which.tolist())
 
 
 def _looked_up(known: NDArray[np.int8], own: Slots, literals: Slots, rows: Slots) -> NDArray[np.int8]:

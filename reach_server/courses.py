@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.rows import with_room
+from reach_server.rows import distinct, with_room
 from reach_server.windows import Ints
 from side_info import Scenario
 from side_info.connectives import bounds_ns
@@ -73,6 +73,8 @@ class Course:
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
+        if slots <= len(self.zero):
+            return
         for name in (
             "zero", "slack", "assigned", "contradicted", "tested",
             "_index", "_seen", "_jitters", "_started", "_before",
@@ -217,12 +219,13 @@ class Course:
 
     def go_on(self, beliefs: Ints, literals: NDArray[np.intp], false: NDArray[np.bool_]) -> Ints:
         """Beliefs (B,) after a sample at which ``false`` (B, K) of the ``literals`` (K,) surely do not hold."""
-        cases, inverse = np.unique(np.column_stack([beliefs, false]), axis=0, return_inverse=True)
+        cases, which = distinct(np.column_stack([beliefs, false]))
+        names = literals.tolist()
         after = [
-            self._table.after(belief, frozenset(literals[np.array(no, dtype=bool)].tolist()))
-            for belief, *no in cases.tolist()
+            self._table.after(belief, frozenset(name for name, off in zip(names, no, strict=True) if off))
+            for belief, *no in cases
         ]
-        return np.array(after, dtype=np.int64)[inverse.ravel()]
+        return np.array(after, dtype=np.int64)[which]
 
     def beliefs(self) -> list[int]:
         """All that is believed of its vehicles."""

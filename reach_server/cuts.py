@@ -1,8 +1,8 @@
 """Predicates as cuts: the sets of a batch of branches, each cut by the predicates that its branch asks for."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from reach_server.factor_sets import FactorSet
 from reach_server.predicates import Context, Literals, Strips
 from reach_server.sets import strips, support
-from reach_server.sets.arrays import Array
+from reach_server.sets.kernels import ACTED, MISSED
 
 CutMethod = Literal["zonotope", "constrained", "frobenius"]
 #: (literal, rows (K,)) to what its predicate refers to at those rows.
@@ -39,34 +39,87 @@ def cut_sets(
 
     What leaves certainly nothing is not applied; the caller drops such a branch.
     """
+    if method == "constrained":
+        return _constrained(sets, asked, literals, contexts, n)
+    cut = _Zonotopes(sets, np.zeros_like(asked), np.zeros_like(asked), method, plane)
+    used = np.flatnonzero(asked.any(axis=0)).tolist()
+    fixed = [_Asked(i, literals.fixed_strips(i), asked[:, i]) for i in used if literals.fixed(i)]
+    cut = cut.narrowed(fixed)
+    moving = []
+    # The strips of these depend on the set: the smaller it is, the more they cut.
+    for literal in used:
+        if not literals.fixed(literal):
+            rows = np.flatnonzero(asked[:, literal])
+            bounds, nothing = strips_of(cut.sets, rows, literal, literals, contexts, n)
+            cut.empty[rows, literal] |= nothing
+            moving.append(_Asked(literal, bounds, asked[:, literal]))
+    cut = cut.narrowed(moving)
+    if method == "zonotope" and fixed and moving:
+        # Cuts do not commute: the first ones may profit from the later ones.
+        again = (cut.acted.sum(axis=1) > 1) & ~cut.empty.any(axis=1)
+        if again.any():
+            cut = cut.narrowed([_Asked(f.literal, f.bounds, f.rows & again) for f in fixed + moving])
+    return CutSets(cut.sets, cut.empty, cut.acted)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """A literal, its strips for all rows, and the rows (R,) that it is asked of."""
+
+    literal: int
+    bounds: Strips
+    rows: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Zonotopes:
+    """Zonotopes (R) on the way through their cuts; ``empty`` and ``acted`` (R, L) as in ``CutSets``."""
+
+    sets: FactorSet
+    empty: NDArray[np.bool_]
+    acted: NDArray[np.bool_]
+    method: CutMethod
+    plane: tuple[int, int] | None
+
+    def narrowed(self, asked: Sequence[_Asked]) -> "_Zonotopes":
+        """After the strips of some literals, all at once; notes what they did."""
+        if not asked:
+            return self
+        found = strips.narrow(
+            self.sets.center, self.sets.generators, _side_by_side([a.bounds.normal for a in asked], 2),
+            _side_by_side([a.bounds.lower for a in asked], 1), _side_by_side([a.bounds.upper for a in asked], 1),
+            _side_by_side([np.repeat(a.rows[:, None], a.bounds.lower.shape[-1], axis=1) for a in asked], 1),
+            method="frobenius" if self.method == "frobenius" else "tight", plane=self.plane,
+        )  # fmt: skip
+        owner = np.repeat([a.literal for a in asked], [a.bounds.lower.shape[-1] for a in asked])
+        for c, literal in enumerate(owner.tolist()):
+            self.acted[:, literal] |= found.acted[:, c] & ACTED != 0
+            self.empty[:, literal] |= found.acted[:, c] & MISSED != 0
+        kept = int(found.used.max(initial=0))
+        return replace(self, sets=FactorSet.zonotope(found.center, found.generators[:, :, :kept]))
+
+
+def _side_by_side(arrays: list[NDArray[Any]], own: int) -> NDArray[Any]:
+    """Arrays (C, ...) or (R, C, ...) of ``own`` axes, joined along C."""
+    if len(arrays) == 1:
+        return arrays[0]
+    batch = np.broadcast_shapes(*(a.shape[: a.ndim - own] for a in arrays))
+    return np.concatenate([np.broadcast_to(a, batch + a.shape[a.ndim - own :]) for a in arrays], axis=len(batch))
+
+
+def _constrained(sets: FactorSet, asked: NDArray[np.bool_], literals: Literals, contexts: Contexts, n: int) -> CutSets:
     empty, acted = np.zeros_like(asked), np.zeros_like(asked)
-    strips_acted = np.zeros(len(asked), dtype=np.intp)
-    used = np.flatnonzero(asked.any(axis=0))
-    found: list[tuple[int, Strips]] = []
-    # Cuts do not commute: where several act, a second pass lets the first ones profit from the later ones.
-    for repeated in range(2 if method == "zonotope" else 1):
-        if repeated and not (strips_acted > 1).any():
-            break
-        for place, literal in enumerate(used.tolist()):
-            if repeated:
-                bounds = found[place][1]
-            else:
-                rows = np.flatnonzero(asked[:, literal])
-                bounds, nothing = strips_of(sets, rows, literal, literals, contexts, n)
-                empty[rows, literal] |= nothing
-                found.append((literal, bounds))
-            for c in range(bounds.lower.shape[-1]):
-                on = asked[:, literal] & ~empty[:, literal]
-                if repeated:
-                    on &= strips_acted > 1
-                sets, missed, cut = _cut(sets, bounds, c, on, method, n, plane)
-                empty[:, literal] |= missed
-                acted[:, literal] |= cut
-                if not repeated:
-                    strips_acted += cut
-    if method == "constrained" and sets.matrix.shape[1]:
-        infeasible = support.emptiness_certificate(sets.matrix, sets.offset)
-        empty |= infeasible[:, None] & acted
+    for literal in np.flatnonzero(asked.any(axis=0)).tolist():
+        rows = np.flatnonzero(asked[:, literal])
+        bounds, nothing = strips_of(sets, rows, literal, literals, contexts, n)
+        empty[rows, literal] |= nothing
+        for c in range(bounds.lower.shape[-1]):
+            on = asked[:, literal] & ~empty[:, literal]
+            sets, missed, cut = _constrain(sets, bounds, c, on, n)
+            empty[:, literal] |= missed
+            acted[:, literal] |= cut
+    if sets.matrix.shape[1]:
+        empty |= support.emptiness_certificate(sets.matrix, sets.offset)[:, None] & acted
     return CutSets(sets, empty, acted)
 
 
@@ -90,40 +143,15 @@ def strips_of(
     return Strips(normal, lower, upper), nothing
 
 
-def _cut(
-    sets: FactorSet,
-    bounds: Strips,
-    c: int,
-    on: NDArray[np.bool_],
-    method: CutMethod,
-    n: int,
-    plane: tuple[int, int] | None,
+def _constrain(
+    sets: FactorSet, bounds: Strips, c: int, on: NDArray[np.bool_], n: int
 ) -> tuple[FactorSet, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Sets cut by one strip where it is ``on``, where that left nothing, and where it acted, (R,)."""
+    """Algorithm 3: one factor and one row more where a strip that is ``on`` cuts, a zero row elsewhere; where it left
+    nothing, and where it acted, (R,)."""
     normal = np.zeros((*bounds.normal.shape[:-2], sets.center.shape[1]))
     normal[..., :n] = bounds.normal[..., c, :]
     lower = np.where(on, bounds.lower[:, c], -np.inf)
     upper = np.where(on, bounds.upper[:, c], np.inf)
-    if method == "constrained":
-        return _constrain(sets, normal, lower, upper)
-    _, _, cut, missed = strips.strip_bounds(sets.center, sets.generators, normal, lower, upper)
-    rows = np.flatnonzero(on if method == "frobenius" else cut)
-    if not len(rows):
-        return sets, missed, cut
-    center = sets.center.copy()
-    generators = np.concatenate([sets.generators, np.zeros((*center.shape, 1))], axis=2)
-    matrix = np.concatenate([sets.matrix, np.zeros((*sets.matrix.shape[:2], 1))], axis=2)
-    center[rows], generators[rows], missed[rows] = strips.intersect_strip(
-        sets.center[rows], sets.generators[rows], normal[rows] if normal.ndim == 2 else normal, lower[rows],
-        upper[rows], method="frobenius" if method == "frobenius" else "tight", plane=plane,
-    )  # fmt: skip
-    return FactorSet(center, generators, matrix, sets.offset), missed, cut
-
-
-def _constrain(
-    sets: FactorSet, normal: Array, lower: Array, upper: Array
-) -> tuple[FactorSet, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Algorithm 3: one factor and one row more where the strip cuts, a zero row elsewhere."""
     q, r, cuts, missed = strips.strip_bounds(sets.center, sets.generators, normal, lower, upper)
     if not cuts.any():
         return sets, missed, cuts

@@ -1,57 +1,35 @@
 """One step for a batch of vehicles of a class: windows, models, tubes, audit. Arrays in, arrays out; no clock."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fleet_bus.errors import UsageError
-from fleet_bus.messages import Audit, EventKind, Label, StateFlag, VehicleProfile
-from reach_server import calibrated, model
+from fleet_bus.messages import Audit, EventKind, StateFlag, VehicleProfile
 from reach_server.assignments import Assignments, Instants
+from reach_server.branching import branching
 from reach_server.factor_sets import FactorSet
-from reach_server.figures import PlaneStrips, of_tracks, where_smaller
-from reach_server.fitting import Models
-from reach_server.inputs import future_inputs, limits
+from reach_server.labels import Labels
+from reach_server.limits import limit_sets
+from reach_server.methods import Forecast, method_of
+from reach_server.plans import Plans, StraightPlan
+from reach_server.reach import Reach
 from reach_server.record import Record
-from reach_server.recursion import Recursion
-from reach_server.regression import Layout, inputs_known, lagged_inputs, runs, unwrapped, wrap
 from reach_server.results import EngineEvent, Tubes
 from reach_server.rows import take
+from reach_server.served import KnownInputs, Prior, Served
 from reach_server.sets import support
 from reach_server.sets.arrays import stack_columns
-from reach_server.tube import Knowledge, Motion, Tracks, Tube, propagate
+from reach_server.sets.planar import outer_polygon
+from reach_server.shortage import too_few
+from reach_server.straight import box_tubes
 from reach_server.windows import Appended, Block, Floats, SampleBatch, Window
 from side_info import Scenario
-from side_info.progression import TRUE
 
-METHODS = ("calibrated", "set_membership", "residual_hull", "paper")
+__all__ = ["Engine", "KnownInputs"]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownInputs:
-    """Later inputs of a batch that are known: ``plan`` (B, N - 1, m), within ``tolerance`` (B, m)."""
-
-    plan: Floats
-    tolerance: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Served:
-    """The vehicles of one round that get a tube: slots (B,), their newest sample, block and known later inputs."""
-
-    slots: NDArray[np.intp]
-    epoch: NDArray[np.uint64]
-    seq: NDArray[np.uint64]
-    t: NDArray[np.int64]
-    block: Block
-    known: KnownInputs | None
-
-    def rows(self, rows: NDArray[np.intp]) -> "_Served":
-        """Those of some rows."""
-        known = None if self.known is None else take(self.known, rows)
-        return _Served(self.slots[rows], self.epoch[rows], self.seq[rows], self.t[rows], take(self.block, rows), known)
+Slots = NDArray[np.intp]
 
 
 class Engine:
@@ -60,44 +38,48 @@ class Engine:
     Args:
         profile: the class.
         method: overrides the profile's method; ``default`` is ``set_membership`` where every bound is given, else
-            ``calibrated``; ``paper`` is ``residual_hull`` in the world frame, as printed.
+            ``calibrated``; ``paper`` is ``residual_hull`` in the world frame.
         horizon: overrides the profile's.
-        planned: later inputs will be given to ``step`` (the calibrated model then uses them).
+        planned: later inputs will be given to ``step``, so that the calibrated model uses them; by default where the
+            profile says ``future_inputs: plan``.
+
+    Raises ``UsageError`` for a profile that the method cannot work with.
     """
 
     def __init__(
-        self, profile: VehicleProfile, *, method: str | None = None, horizon: int | None = None, planned: bool = False
+        self,
+        profile: VehicleProfile,
+        *,
+        method: str | None = None,
+        horizon: int | None = None,
+        planned: bool | None = None,
     ) -> None:
         self.profile = profile
-        wanted = method or profile.method
-        self.method = ("set_membership" if profile.guaranteed else "calibrated") if wanted == "default" else wanted
-        if self.method not in METHODS:
-            raise UsageError(f"method {wanted!r} is unknown: choose one of default, {', '.join(METHODS)}")
+        if planned is None:
+            planned = profile.future_inputs == "plan"
         self.horizon = horizon or profile.horizon
-        self.layout = Layout.of(profile, "world" if self.method == "paper" else None)
-        self.bounds = model.NoiseBounds.of(profile, self.layout)
-        # Bounds of body-frame derivatives say nothing about the world-frame model.
-        world_of_body = profile.frame == "body" and self.layout.pose is None
-        self._lipschitz = None if world_of_body else profile.lipschitz
-        self._planned = planned
         self.window = Window(profile)
+        self.method, self._method = method_of(method, profile, self.window, self.horizon, planned=planned)
         if profile.cuts == "constrained":
             # Compiles on the first run after an installation, better here than in the middle of a round.
             support.warm_up()
-        self._models = Models(
-            profile, self.layout, self.bounds, self._lipschitz,
-            horizon=self.horizon, is_calibrated=self.method == "calibrated", planned=planned,
-        )  # fmt: skip
         self._slots: dict[str, int] = {}
         self._names: list[str] = []
-        known = profile.noise.measurement is not None
-        if self.method == "calibrated":
-            # Calibrated sets speak about measured states.
-            noise = received = self.bounds.measurement if known else None
-        else:
-            noise, received = np.zeros((self.layout.n, 0)), self.bounds.measurement
-        self._assignments = Assignments(profile, noise, received, self.horizon)
-        self._record = Record()
+        self._assignments = self._new_assignments()
+        self._plans = self._new_plans()
+        self._labels = Labels(profile, self.method, self._method.lipschitz, self._method.notes)
+        self._record = Record(0.0 if self._labels.certain else 1.0 - profile.confidence)
+
+    def _new_assignments(self) -> Assignments:
+        received = self._method.bounds.measurement
+        if not self._method.claims_measured:
+            return Assignments(self.profile, self._nothing, received, self.horizon)
+        known = received if self.profile.noise.measurement is not None else None
+        return Assignments(self.profile, known, known, self.horizon)
+
+    @property
+    def _nothing(self) -> Floats:
+        return np.zeros((len(self.profile.state), 0))
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -108,7 +90,17 @@ class Engine:
     def noise_of_claim(self) -> Floats:
         """Generators (n, g) by which a measured state may lie outside of a true set; none for calibrated sets, which
         speak about measured states."""
-        return np.zeros((self.layout.n, 0)) if self.method == "calibrated" else self.bounds.measurement
+        return self._nothing if self._method.claims_measured else self._method.bounds.measurement
+
+    @property
+    def frozen(self) -> bool:
+        """Whether nothing is learned any more: predictions rest on what had come when this was set."""
+        return self._method.frozen
+
+    @frozen.setter
+    def frozen(self, value: bool) -> None:
+        self._method.learn(np.arange(len(self._names)))
+        self._method.frozen = value
 
     def add(self, vehicle: str) -> int:
         """Slot of a vehicle, made if it is new."""
@@ -117,7 +109,7 @@ class Engine:
             slot = self._slots[vehicle] = len(self._names)
             self._names.append(vehicle)
             self.window.grow(slot + 1)
-            self._models.grow(slot + 1)
+            self._method.grow(slot + 1)
             self._record.grow(slot + 1)
         return slot
 
@@ -125,7 +117,7 @@ class Engine:
         """Forget samples, model and record of a vehicle; its slot and its scenarios stay."""
         slot = self._slots[vehicle]
         self.window.clear(slot)
-        self._models.reset(slot)
+        self._method.reset(slot)
         self._record.reset(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
@@ -157,7 +149,9 @@ class Engine:
             order = list(zip(batch.epoch[begins].tolist(), batch.seq[begins].tolist(), strict=True))
             self._assignments.began(batch.vehicle[begins], batch.t[begins], order)
         appended = self.window.append(batch)
-        self._models.count(batch.vehicle)
+        for slot, t in appended.jumped:
+            message = f"the pose of {self._names[slot]} jumped: a new trajectory begins"
+            events.append(EngineEvent(EventKind.JUMP, self._names[slot], t, message))
         return appended, tuple(events)
 
     def step(self, batch: SampleBatch, known: KnownInputs | None = None) -> Tubes:
@@ -169,33 +163,33 @@ class Engine:
         tubes = self.predict(np.unique(batch.vehicle), known)
         return replace(tubes, events=events + tubes.events)
 
-    def predict(self, slots: NDArray[np.intp], known: KnownInputs | None = None) -> Tubes:
+    def predict(self, slots: Slots, known: KnownInputs | None = None) -> Tubes:
         """Tubes from the newest samples of some slots (ascending); ``known`` has one row per slot."""
         events = self._receive(slots)
-        self._models.refit(self.window, slots)
-        served, waiting = self._serve(slots, known)
-        while len(served.slots):
-            times = served.t[:, None] + np.arange(1, self.horizon + 1) * self.profile.sample_time_ns
-            tracks, motion, instants = self._tracks(served)
-            knowledge = self._knowledge(tracks, instants)
-            tube = propagate(tracks, motion, knowledge, self.layout.n)
-            bounded = _bounded(tube, tracks)
-            if bounded.all():
-                published = self._publish(served, times, tube, tracks, instants, waiting)
-                return replace(published, events=(*events, *published.events))
-            for slot in served.slots[~bounded]:
-                waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
-            served = served.rows(np.flatnonzero(bounded))
-        return replace(self._no_tubes(waiting), events=tuple(events))
+        if not self.frozen:
+            self._method.learn(slots)
+        events += [
+            EngineEvent(EventKind.GLITCH, self._names[slot], t, f"a measurement of {self._names[slot]} was a glitch")
+            for slot, t in self._method.glitches()
+        ]
+        served, limited, waiting = self._serve(slots, known)
+        found: list[Tubes] = []
+        if len(served.slots):
+            found.append(self._tubes(served, events, waiting))
+        if len(limited.slots):
+            found.append(self._tubes_from_limits(limited, waiting))
+        if not found:
+            return replace(self._no_tubes(waiting), events=tuple(events))
+        return replace(found[0] if len(found) == 1 else Tubes.together(found), events=tuple(events), waiting=waiting)
 
-    def _receive(self, slots: NDArray[np.intp]) -> list[EngineEvent]:
+    def _receive(self, slots: Slots) -> list[EngineEvent]:
         """Let the scenarios see what has been measured of some vehicles."""
         held = slots[self.window.filled(slots) > 0]
-        newest = self.window.newest(held)[2]
         if not len(held):
             return []
+        newest = self.window.newest(held)[2]
 
-        def block(wanted: NDArray[np.intp], length: int) -> Block:
+        def block(wanted: Slots, length: int) -> Block:
             samples = self.window.block(wanted, min(length, self.window.size))
             # What was recorded before the vehicle started is no part of what scenarios speak about.
             return replace(samples, valid=samples.valid & ~self.window.recorded(wanted, samples.t.shape[1]))
@@ -208,180 +202,165 @@ class Engine:
                 events += self._assignments.contradict(slot, self._names[slot], t, None)
         return events
 
-    def _serve(self, slots: NDArray[np.intp], known: KnownInputs | None) -> tuple[_Served, dict[str, str]]:
-        """The vehicles that can be served now, and why the others cannot."""
-        block = self.window.block(slots, min(self.window.size, self.layout.lags + calibrated.LAGGED_INCREMENTS + 1))
+    def _serve(self, slots: Slots, known: KnownInputs | None) -> tuple[Served, Served, dict[str, str]]:
+        """The vehicles that can be served now, those that may be by their limits alone, and why others cannot."""
+        block = self.window.block(slots, min(self.window.size, self._method.samples_needed))
         epoch, seq, t, flags = self.window.newest(slots)
-        if self.method == "calibrated":
-            complete = inputs_known(block, runs(block.linked), self.layout)[:, -1]
-            complete &= runs(block.linked)[:, -1] >= calibrated.LAGGED_INCREMENTS
-            limited = np.ones(len(slots), dtype=bool)
-        else:
-            # The current input may be anything within its limits, the lagged ones are needed.
-            complete = self._lags_known(block)
-            has_limits = bool(np.isfinite(np.concatenate(limits(self.profile))).all())
-            needs_limits = ~block.input_known[:, -1] | (known is None and self.horizon > 1)
-            limited = ~needs_limits | has_limits
-        reasons = (
-            (~self._models.ready(slots), f"too few samples for {self.method}"),
+        served = Served(slots, epoch, seq, t, block, known)
+        missing = self._method.missing(slots)
+        no_model = missing > 0
+        reasons = [
+            (~block.valid[:, -1], "no sample has come yet"),
             (flags & int(StateFlag.HISTORY) != 0, "the newest sample is recorded history"),
-            (~complete, "the lagged inputs are not complete yet"),
-            (~limited, "no plan came, and the profile states no limits for an input"),
-        )
+            *self._method.reasons(slots, block, known),
+        ]
         waiting: dict[str, str] = {}
         for mask, reason in reversed(reasons):
             waiting |= {self._names[slot]: reason for slot in slots[mask]}
-        rows = np.flatnonzero(~np.any([mask for mask, _ in reasons], axis=0))
-        chosen = None if known is None else take(known, rows)
-        return _Served(slots[rows], epoch[rows], seq[rows], t[rows], take(block, rows), chosen), waiting
+        for row in np.flatnonzero(no_model).tolist():
+            name = self._names[slots[row]]
+            waiting[name] = too_few(self.method, int(missing[row]))
+        refused = np.any([mask for mask, _ in reasons], axis=0)
+        limited = np.flatnonzero(no_model & ~reasons[0][0] & ~reasons[1][0])
+        return served.rows(np.flatnonzero(~(no_model | refused))), served.rows(limited), waiting
 
-    def _lags_known(self, block: Block) -> NDArray[np.bool_]:
-        known = block.valid[:, -1].copy()
-        if self.layout.lags:
-            known &= block.linked[:, -self.layout.lags :].all(axis=1)
-            known &= block.input_known[:, -self.layout.lags - 1 : -1].all(axis=1)
-        return known
-
-    def _tracks(self, served: _Served) -> tuple[Tracks, Motion, Instants]:
-        """A tube without side information for each vehicle, and one with it where a scenario asks for something."""
-        count = len(served.slots)
-        row, obligation, tested = self._assignments.obligations(served.slots)
-        with_side = np.unique(row)
-        vehicle = np.concatenate([np.arange(count), with_side])
-        track = np.concatenate([np.arange(count), count + np.searchsorted(with_side, row)])
-        asked = np.concatenate([np.full(count, TRUE, dtype=np.int64), obligation])
-        motion, start = self._calibrated_motion(served) if self.method == "calibrated" else self._recursion(served)
-        half = np.abs(self.bounds.measurement).sum(axis=1)
-        measured = start.center[:, : self.layout.n]
-        instants = Instants(served.slots, served.t, measured - half, measured + half)
-        return Tracks(vehicle, take(start, vehicle), track, asked, tested[vehicle], vehicle), motion, instants
-
-    def _knowledge(self, tracks: Tracks, instants: Instants) -> Knowledge:
-        side = self._assignments
-        contexts = side.contexts(instants)
-        return Knowledge(
-            side.table,
-            side.literals,
-            lambda k, track: contexts(k, tracks.vehicle[track]),
-            self.profile.cuts,
-            side.plane,
+    def _tubes(self, served: Served, events: list[EngineEvent], waiting: dict[str, str]) -> Tubes:
+        """Tubes of the vehicles that are served; those whose sets are not finite wait instead."""
+        if self.profile.filtered and not self._method.claims_measured:
+            rows, sets = self._record.predictions.prior(served.slots, served.epoch, served.seq)
+            kept = ~self._record.falsified[served.slots[rows]]
+            served = replace(served, prior=Prior(rows[kept], take(sets, kept)))
+        forecast = self._method.forecast(served)
+        instants = self._instants(served, forecast)
+        reach = self._reach(served, forecast, instants)
+        if not reach.bounded.all():
+            for slot in served.slots[~reach.bounded].tolist():
+                waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
+            rows = np.flatnonzero(reach.bounded)
+            served, reach, instants = served.rows(rows), reach.rows(rows), take(instants, rows)
+        events += self._contradictions(served, reach)
+        times = self._times(served)
+        self._record.predictions.keep(
+            served.slots, served.epoch, served.seq, times[:, 0], reach.steps[0], reach.free[0]
         )
-
-    def _recursion(self, served: _Served) -> tuple[Recursion, FactorSet]:
-        known = served.known
-        measurement = self.bounds.measurement
-        models = self._models.of(served.slots)
-        x = unwrapped(served.block, self.layout)[:, -1]
-        if self.layout.pose is None:
-            turns = list(self.layout.angles)
-            x[:, turns] = models.newest[:, turns] + wrap(x[:, turns] - models.newest[:, turns])
-        start = FactorSet.zonotope(x, np.broadcast_to(measurement, (len(x), *measurement.shape)))
-        u = lagged_inputs(served.block, self.layout)[:, -1].reshape(-1, self.layout.lags + 1, self.layout.m)
-        inputs = future_inputs(
-            self.profile, u[:, 1:], u[:, 0], served.block.input_known[:, -1], self.horizon,
-            None if known is None else known.plan, None if known is None else known.tolerance,
-        )  # fmt: skip
-        return Recursion(inputs, models, self.bounds.process, self.layout, self.method == "set_membership"), start
-
-    def _calibrated_motion(self, served: _Served) -> tuple["calibrated.Boxes", FactorSet]:
-        plan = served.known.plan if served.known is not None and self._planned else None
-        center, generators, _ = calibrated.predict(
-            self._models.of(served.slots), served.block, self.profile, self.layout, plan
-        )
-        x = served.block.x[:, -1]
-        return calibrated.Boxes(center, generators), FactorSet.zonotope(x, np.zeros((*x.shape, 0)))
-
-    def _publish(
-        self,
-        served: _Served,
-        times: NDArray[np.int64],
-        tube: Tube,
-        tracks: Tracks,
-        instants: Instants,
-        waiting: dict[str, str],
-    ) -> Tubes:
-        """The result of a round; where cuts leave nothing, the sets without cuts and an event."""
-        count = len(served.slots)
-        events = self._contradictions(served, tube, tracks)
-        sound = tube.ended[count:] < 0
-        cut, rows = count + np.flatnonzero(sound), tracks.vehicle[count:][sound]
-        chosen = np.arange(count)
-        chosen[rows] = cut
-        plane = self.profile.position
-        acted = np.flatnonzero(tube.acted.any(axis=(0, 1))).tolist()
-        strips = PlaneStrips.of(self._assignments.literals, acted, self.layout.n, plane)
-        free = [of_tracks(step, np.arange(count), strips, plane) for step in tube.steps[1:]]
-        # The paper's cuts are shown as they are, larger or not.
-        always = self.profile.cuts == "frobenius"
-        found = [
-            where_smaller(whole, of_tracks(step, cut, strips, plane), rows, always=always) if len(rows) else whole
-            for step, whole in zip(tube.steps[1:], free, strict=True)
-        ]
-        steps, free_steps = tuple(s for s, _ in found), tuple(s for s, _ in free)
-        self._record.predictions.keep(served.slots, served.epoch, served.seq, times[:, 0], steps[0], free_steps[0])
         slots = served.slots.tolist()
-        deficient = self._models.rank_deficient(served.slots).tolist()
+        deficient = self._method.rank_deficient(served.slots)
         contradicted = self._assignments.contradicted()
-        emptied = np.zeros(count, dtype=bool)
-        emptied[tracks.vehicle[count:]] = ~sound
+        against = np.array([slot in contradicted for slot in slots], dtype=bool)
+        wrong = self._record.falsified[served.slots]
+        if self._labels.audited:
+            wrong = wrong | self._record.outside[served.slots]
         return Tubes(
-            tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times, steps, free_steps,
-            np.stack([f.area for _, f in found], axis=1), np.stack([f.area for _, f in free], axis=1),
-            np.stack([f.outline() for _, f in found], axis=1), np.stack([f.hull for _, f in found], axis=1),
-            tuple(self._label(slot) for slot in slots), self.method,
-            self._assignments.describe(tube.acted[chosen, 1:]),
-            tuple(
-                self._notes(rank_deficient=bad, contradicted=slot in contradicted, emptied=nothing)
-                for slot, bad, nothing in zip(slots, deficient, emptied.tolist(), strict=True)
-            ),
-            self._verdicts(instants, steps), tuple(events), waiting,
+            tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times,
+            reach.steps, reach.free, reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
+            self._labels.of(wrong), (self.method,) * len(slots), self._assignments.describe(reach.acted),
+            self._labels.notes(deficient, against, reach.emptied), self._verdicts(instants, reach.steps), (), {},
         )  # fmt: skip
 
-    def _verdicts(self, instants: Instants, steps: tuple[FactorSet, ...]) -> tuple[Mapping[str, str], ...]:
+    def _times(self, served: Served) -> NDArray[np.int64]:
+        steps = np.arange(1, self.horizon + 1)
+        return np.asarray(served.t[:, None] + steps * self.profile.sample_time_ns)
+
+    def _instants(self, served: Served, forecast: Forecast) -> Instants:
+        # Where true states start is known; measured ones are off by the noise.
+        spread = self._method.bounds.measurement if self._method.claims_measured else forecast.start.generators
+        center, half = forecast.start.center, np.abs(spread).sum(axis=-1)
+        return Instants(served.slots, served.t, center - half, center + half)
+
+    def _reach(self, served: Served, forecast: Forecast, instants: Instants) -> Reach:
+        """Sets of the vehicles that are served: of the straight ones all at once, of the others step by step."""
+        row, obligation, tested = self._assignments.obligations(served.slots)
+        count = len(served.slots)
+        if self._plans.table is not self._assignments.table:
+            self._plans = self._new_plans()
+        if self.profile.cuts == "constrained":
+            plan = StraightPlan.nothing(count, self.horizon, len(self.profile.state))
+            plan.straight[row] = False
+        else:
+            plan = self._plans.of(row, obligation, tested, self.horizon, *(forecast.ahead() or (None, None)))
+        parts: list[Reach] = []
+        stepwise = ~plan.straight
+        straight = np.flatnonzero(plan.straight)
+        if len(straight):
+            tubes = forecast.straight(straight, plan.rows(straight))
+            if tubes is None:
+                stepwise[:] = True
+            else:
+                # Who is to blame for a set of which cuts left nothing is found out step by step.
+                stepwise[straight[tubes.ended >= 0]] = True
+                found = Reach.of(tubes, plan, self._assignments.literals.count)
+                kept = np.flatnonzero(~stepwise[straight])
+                parts.append(found if len(kept) == len(straight) else found.rows(kept))
+        others = np.flatnonzero(stepwise)
+        if len(others):
+            chosen = stepwise[row]
+            asked = row[chosen], obligation[chosen], tested
+            parts.append(
+                branching(forecast.motion, forecast.start, others, asked, instants, self._assignments, self.profile)
+            )
+        order = np.argsort(np.concatenate([np.flatnonzero(~stepwise), others]), kind="stable")
+        return Reach.together(parts, order)
+
+    def _new_plans(self) -> Plans:
+        side = self._assignments
+        return Plans(side.table, side.literals, len(self.profile.state), side.plane)
+
+    def _tubes_from_limits(self, limited: Served, waiting: dict[str, str]) -> Tubes:
+        """Tubes of vehicles without a model, from what the profile says of every vehicle; none where it says too
+        little."""
+        x = limited.block.x[:, -1]
+        boxes = limit_sets(self.profile, x, self.horizon)
+        count, n = x.shape
+        if boxes is None:
+            return self._no_tubes(waiting)
+        plan = StraightPlan.nothing(count, self.horizon, n)
+        start = np.broadcast_to(self._method.bounds.measurement, (count, *self._method.bounds.measurement.shape))
+        reach = Reach.of(
+            box_tubes(*boxes, x, start, plan, self.profile.position, "zonotope"), plan, self._assignments.literals.count
+        )
+        names = [self._names[slot] for slot in limited.slots.tolist()]
+        bounded = np.flatnonzero(reach.bounded)
+        reach, limited = reach.rows(bounded), limited.rows(bounded)
+        names = [names[row] for row in bounded.tolist()]
+        notes = tuple((f"from limits alone, {waiting[name]}",) for name in names)
+        for name in names:
+            waiting.pop(name)
+        instants = Instants(limited.slots, limited.t, x[bounded], x[bounded])
+        return Tubes(
+            tuple(names), limited.epoch, limited.seq, limited.t, self._times(limited), reach.steps, reach.free,
+            reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
+            self._labels.of_limits(len(names)), ("limits",) * len(names), ((),) * len(names), notes,
+            self._verdicts(instants, reach.steps, true_sets=True), (), {},
+        )  # fmt: skip
+
+    def _verdicts(
+        self, instants: Instants, steps: tuple[FactorSet, ...], *, true_sets: bool = False
+    ) -> tuple[Mapping[str, str], ...]:
         """What the requirements come to on the sets, enlarged to hold true states where they speak about measured
         ones."""
-        noise = self.bounds.measurement if self.method == "calibrated" else np.zeros((self.layout.n, 0))
+        measured = self._method.claims_measured and not true_sets
+        noise = self._method.bounds.measurement if measured else self._nothing
+        if not self._assignments.requires:
+            return ({},) * len(instants.slots)
         return self._assignments.verdicts(instants, [(s.center, stack_columns(s.generators, noise)) for s in steps])
 
     def _no_tubes(self, waiting: dict[str, str]) -> Tubes:
         ids, times = np.zeros(0, dtype=np.uint64), np.zeros((0, self.horizon), dtype=np.int64)
-        areas, sets = np.zeros((0, self.horizon)), np.zeros((0, self.horizon, 2, self.layout.n))
+        areas, sets = np.zeros((0, self.horizon)), np.zeros((0, self.horizon, 2, len(self.profile.state)))
         return Tubes(
-            (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), self.method, (), (), (), (), waiting
+            (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), (), (), (), (), (), waiting
         )
-
-    def _contradictions(self, served: _Served, tube: Tube, tracks: Tracks) -> list[EngineEvent]:
-        """Events where cuts left nothing, and where the data excludes the stated bounds."""
-        events: list[EngineEvent] = []
-        count = len(served.slots)
-        # A calibrated set may be wrong itself: only what was measured contradicts for good.
-        final = tube.ended >= 0 if self.method != "calibrated" else np.zeros(tracks.count, dtype=bool)
-        for track in np.flatnonzero(final).tolist():
-            row = int(tracks.vehicle[track])
-            # What cut before may be as wrong as what left nothing: all scenarios that took part are named.
-            before = tube.acted[track].any(axis=0)
-            literals = np.flatnonzero(
-                tube.blamed[track] | self._assignments.of_others(before, tube.blamed[track])
-            ).tolist()
-            slot, ahead = int(served.slots[row]), int(tube.ended[track]) * self.profile.sample_time_ns
-            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
-        for row in np.flatnonzero(tube.contradicted[:count]).tolist():
-            slot = int(served.slots[row])
-            if not self._record.falsified[slot]:
-                message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
-                vehicle, t = self._names[slot], int(served.t[row])
-                events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
-            self._record.falsified[slot] = True
-        return events
 
     def _check(self, batch: SampleBatch) -> list[EngineEvent]:
         """Hold the measurements against the one-step predictions that wait for them."""
         events: list[EngineEvent] = []
         slack = self.profile.tolerance * self.profile.sample_time_ns
-        for miss in self._record.check(batch, slack, self.noise_of_claim, self.layout.angles):
+        angles = tuple(np.flatnonzero(self.profile.angles).tolist())
+        checked = self._record.check(batch, slack, self.noise_of_claim, angles)
+        for miss in checked.misses:
             if miss.side_information:
                 self._record.doubted[miss.slot] = miss.t
-            elif self.method != "calibrated":
+            elif self._labels.certain:
                 self._record.falsified[miss.slot] = True
                 message = (
                     f"the measured state lay outside its predicted set by {miss.excess:.3g}: "
@@ -389,35 +368,34 @@ class Engine:
                 )
                 vehicle = self._names[miss.slot]
                 events.append(EngineEvent(EventKind.MISS, vehicle, miss.t, message, {"excess": miss.excess}))
+        moved = ((checked.left, "left its band"), (checked.returned, "is in its band again"))
+        for slots, what in moved if self._labels.audited else ():
+            newest = dict(zip(batch.vehicle.tolist(), batch.t.tolist(), strict=True)) if len(slots) else {}
+            events += [self._coverage(slot, newest[slot], what) for slot in slots.tolist()]
         return events
 
-    def _label(self, slot: int) -> Label:
-        if self.method == "calibrated":
-            return Label.CALIBRATED
-        if self._record.falsified[slot]:
-            return Label.CONTRADICTED
-        noise = self.profile.noise
-        if noise.process is None or noise.measurement is None or self._lipschitz is None:
-            return Label.UNCOVERED
-        return Label.GUARANTEED if self.profile.guaranteed else Label.CALIBRATED
+    def _coverage(self, slot: int, t: int, what: str) -> EngineEvent:
+        audit = self._record.audit(slot)
+        missed = audit.recent - audit.recent_inside
+        message = (
+            f"the rate of {self._names[slot]} {what}: {missed} of the newest {audit.recent} predictions missed, up to "
+            f"{audit.band} are explained by confidence {self.profile.confidence:g}"
+        )
+        details = {"missed": missed, "checked": audit.recent, "band": audit.band}
+        return EngineEvent(EventKind.COVERAGE, self._names[slot], t, message, details)
 
-    def _notes(self, *, rank_deficient: bool, contradicted: bool, emptied: bool) -> tuple[str, ...]:
-        notes = ["rank deficient"] if rank_deficient else []
-        if self.method == "calibrated":
-            notes += [] if self._planned else ["learned driver"]
-        elif self._lipschitz is None:
-            notes.append("no Lipschitz bound")
-        if contradicted:
-            notes.append("side information contradicted")
-        elif emptied:
-            notes.append("side information left nothing")
-        return tuple(notes)
-
-
-def _bounded(tube: Tube, tracks: Tracks) -> NDArray[np.bool_]:
-    """Which vehicles (B,) have finite sets only, with cuts and without."""
-    bounded = np.ones(int(tracks.vehicle.max()) + 1, dtype=bool)
-    for step in tube.steps:
-        finite = np.isfinite(step.sets.center).all(axis=1) & np.isfinite(step.sets.generators).all(axis=(1, 2))
-        np.logical_and.at(bounded, tracks.vehicle[step.track], finite)
-    return bounded
+    def _contradictions(self, served: Served, reach: Reach) -> list[EngineEvent]:
+        """Events where cuts left nothing, and where the data excludes the stated bounds."""
+        events: list[EngineEvent] = []
+        # A calibrated set may be wrong itself: only what was measured contradicts for good.
+        for row, (step, literals) in {} if self._method.claims_measured else reach.blamed.items():
+            slot, ahead = int(served.slots[row]), step * self.profile.sample_time_ns
+            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
+        for row in np.flatnonzero(reach.excluded).tolist():
+            slot = int(served.slots[row])
+            if not self._record.falsified[slot]:
+                message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
+                vehicle, t = self._names[slot], int(served.t[row])
+                events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
+            self._record.falsified[slot] = True
+        return events

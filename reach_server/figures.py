@@ -7,22 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.factor_sets import FactorSet, replace_rows
-from reach_server.predicates import Context, Literals
+from reach_server.predicates import Literals
 from reach_server.rows import take
 from reach_server.sets import planar, reduction, support
+from reach_server.sets.compiled import stacked, summing
+from reach_server.sets.figure_kernels import OUTWARDS, figures_one
+from reach_server.sets.kernels import WORK
 from reach_server.tube import Branches, united
 from reach_server.windows import Floats
 
 #: Directions in which an outline bounds its set.
 OUTLINE = 12
+WAYS = planar.directions(OUTLINE)
 #: Directions from which the area of a constrained set is bounded.
 AREA_DIRECTIONS = 32
 #: Generators of a published set beyond one per state.
 EXTRA_GENERATORS = 2
-
-
-#: What the predicates of no set refer to.
-NOWHERE = Context(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class PlaneStrips:
         for literal in chosen:
             if not literals.fixed(literal):
                 continue
-            strips, _ = literals.strips(literal, np.zeros((0, n)), np.zeros((0, n, 0)), NOWHERE)
+            strips = literals.fixed_strips(literal)
             rows = np.flatnonzero(~strips.normal[:, others].any(axis=1))
             owner = np.full(len(rows), literal, dtype=np.intp)
             found.append(cls(strips.normal[rows][:, plane], strips.lower[rows], strips.upper[rows], owner))
@@ -74,29 +74,45 @@ def figures(sets: FactorSet, acting: NDArray[np.bool_], strips: PlaneStrips, pla
 
     Zonotopes: the area is exact (of the set, where a predicate on the position acts: of its intersection with it), the
     outline and the box are outer bounds. Constrained sets: all three are outer bounds, certified by duality. Each
-    side of the outline, and the box, is moved outwards by 1e-6 of the size of the set, more than rounding to float32
-    can take back.
+    side of the outline, and the box, is moved outwards by ``OUTWARDS`` of the size of the set.
     """
-    size = np.abs(sets.generators).sum(axis=-1)
     if sets.matrix.shape[1]:
         return _constrained_figures(sets, plane)
-    planar_generators = sets.generators[:, plane, :]
-    zero = np.zeros((len(size), 2))
-    area = planar.zonotope_area(planar_generators)
-    heights = support.zonotope_support(zero, planar_generators, planar.directions(OUTLINE))
-    hull = np.stack([-size, size], axis=1)
-    rows, vertices = _clipped(sets, acting, strips, plane)
-    if len(rows):
-        area[rows] = np.clip(planar.polygon_area(vertices), 0.0, area[rows])
-        heights[rows] = np.minimum(heights[rows], (vertices @ planar.directions(OUTLINE).T).max(axis=1))
-        for place, i in enumerate(plane):
-            hull[rows, 0, i] = np.maximum(hull[rows, 0, i], vertices[..., place].min(axis=1))
-            hull[rows, 1, i] = np.minimum(hull[rows, 1, i], vertices[..., place].max(axis=1))
-    return _outwards(area, heights, hull, size, plane)
+    count = len(sets.center)
+    area, heights, hull = _figure_rows(
+        stacked(sets.center, 1, (count,), count), stacked(sets.generators, 2, (count,), count), *plane,
+        np.ascontiguousarray(strips.normal), strips.lower, strips.upper,
+        np.ascontiguousarray(acting[:, strips.literal]), WAYS,
+    )  # fmt: skip
+    return Figures(area, heights, hull)
+
+
+@summing
+def _figure_rows(
+    center: Floats, generators: Floats, plane0: int, plane1: int,
+    normals: Floats, lower: Floats, upper: Floats, on: NDArray[np.bool_], ways: Floats,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """``figures_one`` of center (R, n) and generators (R, n, g), with strips on where ``on`` (R, C) says."""
+    count, n, g = generators.shape
+    area, heights, hull = np.zeros(count), np.zeros((count, len(ways))), np.zeros((count, 2, n))
+    vertices, work = np.zeros((2, 2 * (g + len(lower)) + 1, 2)), np.zeros((WORK, max(n, g)))
+    own_center, own, acting = np.zeros(n), np.zeros((n, g)), np.zeros(len(lower), dtype=np.bool_)
+    for p in range(count):
+        for k in range(n):
+            own_center[k] = center[p, k]
+            for i in range(g):
+                own[k, i] = generators[p, k, i]
+        for c in range(len(lower)):
+            acting[c] = on[p, c]
+        area[p] = figures_one(
+            own_center, own, g, n, plane0, plane1, normals, lower, upper, acting,
+            ways, heights[p], hull[p], vertices, work,
+        )  # fmt: skip
+    return area, heights, hull
 
 
 def _outwards(area: Floats, heights: Floats, hull: Floats, size: Floats, plane: tuple[int, int]) -> Figures:
-    margin = 1e-6 * size
+    margin = OUTWARDS * size
     widened = heights + margin[:, plane].sum(axis=1)[:, None]
     return Figures(area, widened, hull + np.stack([-margin, margin], axis=1))
 
@@ -108,7 +124,7 @@ def joined(each: Figures, owner: NDArray[np.intp], center: Floats, around: Float
         return each
     count, moved = len(around), center - around[owner]
     heights = np.full((count, each.heights.shape[1]), -np.inf)
-    np.maximum.at(heights, owner, each.heights + moved[:, plane] @ planar.directions(OUTLINE).T)
+    np.maximum.at(heights, owner, each.heights + moved[:, plane] @ WAYS.T)
     low, high = np.full_like(around, np.inf), np.full_like(around, -np.inf)
     np.minimum.at(low, owner, each.hull[:, 0] + moved)
     np.maximum.at(high, owner, each.hull[:, 1] + moved)
@@ -143,23 +159,6 @@ def where_smaller(
     return replace_rows(free[0], rows[better], take(cut[0], better)), chosen
 
 
-def _clipped(
-    sets: FactorSet, acting: NDArray[np.bool_], strips: PlaneStrips, plane: tuple[int, int]
-) -> tuple[NDArray[np.intp], Floats]:
-    """Rows on which predicates about the position act, and the polygons (R, V, 2) that are left of them."""
-    on = acting[:, strips.literal]
-    rows = np.flatnonzero(on.any(axis=1))
-    if not len(rows):
-        return rows, np.zeros((0, 0, 2))
-    vertices = planar.zonotope_polygon(np.zeros((len(rows), 2)), sets.generators[rows][:, plane, :])
-    for c in np.flatnonzero(on[rows].any(axis=0)):
-        normal = strips.normal[c]
-        offset = sets.center[rows][:, plane] @ normal
-        vertices = planar.clip(vertices, normal, np.where(on[rows, c], strips.upper[c] - offset, np.inf))
-        vertices = planar.clip(vertices, -normal, np.where(on[rows, c], offset - strips.lower[c], np.inf))
-    return rows, vertices
-
-
 def _constrained_figures(sets: FactorSet, plane: tuple[int, int]) -> Figures:
     n = sets.center.shape[1]
     size = np.abs(sets.generators).sum(axis=-1)
@@ -172,7 +171,7 @@ def _constrained_figures(sets: FactorSet, plane: tuple[int, int]) -> Figures:
         zero, planar_generators, sets.matrix, sets.offset, planar.directions(AREA_DIRECTIONS)
     )
     area = np.clip(planar.polygon_area(planar.outer_polygon(heights)), 0.0, planar.zonotope_area(planar_generators))
-    outline = support.constrained_support(zero, planar_generators, sets.matrix, sets.offset, planar.directions(OUTLINE))
+    outline = support.constrained_support(zero, planar_generators, sets.matrix, sets.offset, WAYS)
     return _outwards(area, outline, hull, size, plane)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus import keys
-from fleet_bus.errors import MessageError, ScenarioError
+from fleet_bus.errors import MessageError, ScenarioError, UsageError
 from fleet_bus.messages import Assignment, EventKind, ScenarioDocument, StateBatch, StateFlag, VehicleProfile
 from fleet_bus.rejections import Rejections
 from reach_server.engine import Engine, KnownInputs
@@ -22,6 +22,16 @@ from side_info import Scenario
 
 #: Samples of a vehicle without a profile that are kept for it.
 KEPT_WITHOUT_PROFILE = 2000
+#: What a window refuses, or takes with a reservation, as it is counted: name in ``Appended``, reason, detail.
+SETTLED = (
+    ("backwards", "range", "a stamp before that of an earlier sample"),
+    ("stopped", "range", "a stamp equal to that of an earlier sample: is the clock of the agent stopped?"),
+    ("not_finite", "not_finite", "a state that is no number"),
+    ("no_input", "input_not_finite", "an input that is no number is taken as not recorded"),
+    ("too_old", "too_old", "older than all that the window holds"),
+    ("stale", "stale_pose", "the pose repeats although the vehicle moves: no transition is taken from it"),
+    ("resynced", "clock_set_back", "the clock was set back: a new trajectory begins"),
+)
 #: Samples after which the sample interval is held against the profile.
 INTERVAL_CHECK = 20
 
@@ -83,15 +93,22 @@ class Fleet:
         return self._engines[known.profile.shape_key()].window.keys(known.slot)
 
     def set_profile(self, vehicle: str, profile: VehicleProfile) -> list[EngineEvent]:
-        """Take over a profile. Another one than before moves the vehicle to another class, with an empty window."""
+        """Take over a profile. Another one than before moves the vehicle to another class, with an empty window.
+
+        Raises ``MessageError`` for one that no engine can work with.
+        """
         known = self._vehicles[vehicle]
         if known.profile == profile:
             return []
-        if known.profile is not None:
-            self._engines[known.profile.shape_key()].reset(vehicle)
         engine = self._engines.get(profile.shape_key())
         if engine is None:
-            engine = self._engines[profile.shape_key()] = Engine(profile)
+            try:
+                engine = self._engines[profile.shape_key()] = Engine(profile)
+            except UsageError as error:
+                # The one before, if there is one, stays in force.
+                raise MessageError("fields", str(error)) from None
+        if known.profile is not None:
+            self._engines[known.profile.shape_key()].reset(vehicle)
         known.profile, known.slot, known.told, known.plan = profile, engine.add(vehicle), set(), None
         return [event for a in list(self._assignments.values()) if a.vehicle == vehicle for event in self._apply(a)]
 
@@ -167,8 +184,9 @@ class Fleet:
             before = engine.window.newest(slots)
             appended, found = engine.append(joined)
             stored, repeated = stored + appended.stored, repeated + appended.repeated
-            for _ in range(appended.backwards):
-                self._rejections.count(MessageError("range", "a stamp that does not advance"), "fleet/*/state")
+            for name, reason, detail in SETTLED:
+                if number := getattr(appended, name):
+                    self._rejections.count(MessageError(reason, detail), "fleet/*/state", number)
             events += self._check_intervals(engine, slots)
             events += found
             after = engine.window.newest(slots)

@@ -13,18 +13,30 @@ the two samples, its position part is ``R(-v_θ)[d + R(-θ)(v+_p - v_p)]`` (d th
 largest measured increment plus the noise of two positions. Heading and the other states are off by
 ``v+ - v``, and the regressors by ``v_s``: together ``N = Z_w + box(position part) + Z_v|other + (E + M_s) Z_v``.
 
+Rounding of a residual, a sum of p + 2 terms, is at most ``(p + 2) EPS`` times their sizes, the largest of which over
+the data, with some more for the turning of targets, is added to the box of N.
+
 The bound on e between the data: ``|e_i(ξ) - e_i(ξ')| <= Σ_c L_ic |ξ_c - ξ'_c|``, L from the profile.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import Lipschitz, VehicleProfile
 from reach_server.regression import Layout, Transitions
-from reach_server.sets.planar import zonotope_area
+from reach_server.residuals import Fitted, residual_sets
+from reach_server.sets.intervals import EPS
 from reach_server.windows import Floats
+
+#: Directions beside the axes in which residuals are bounded, of a class whose noise set is not a box.
+MOST_DIRECTIONS = 4
+#: The noise set counts as thin in a direction if its width there is less than this part of that of its box.
+THIN = 0.8
+#: The data determines a model if the least eigenvalue of its correlations is more than this part of the greatest.
+FULL_RANK = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,58 +64,68 @@ class NoiseBounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Models of V vehicles of a class, with what bounds their residual functions.
+    """Models of V vehicles of a class, with what bounds their residual functions. Arrays are contiguous.
 
     Attributes:
         matrix: M (V, n, 1 + p).
-        z: regressors of the data (V, p, T), the data last so that reductions over it run through memory in order.
-        residual: (V, n, T).
-        low, high: hull of the residuals (V, n).
-        noise: generators of N (V, n, g).
+        z: regressors of data that bound the residual function (V, p, B).
+        residual: their residuals (V, n, B).
+        held: how many data (V,) there are, the first ones.
+        low, high: hull of the residuals of all data (V, n), of those held at least.
+        noise: generators of N (V, n, n + g), the first n a box.
         slope: L of the residual function (V, n, p); zero where the profile states none.
         z_noise: half-widths (V, p) of the error of the regressors.
+        directions: (V, K, n) beside the axes in which residuals are bounded; zero where there are fewer.
         rank_deficient: (V,) the data did not determine M (the least-norm solution was taken).
-        penalty: (V, 1, T) zero where a datum counts, infinite where the place holds none.
         newest: state (V, n) of the newest sample; a model in which an angle is a regressor holds in its turn.
     """
 
     matrix: Floats
     z: Floats
     residual: Floats
+    held: NDArray[np.int64]
     low: Floats
     high: Floats
     noise: Floats
     slope: Floats
     z_noise: Floats
+    directions: Floats
     rank_deficient: NDArray[np.bool_]
-    penalty: Floats
     newest: Floats
 
+    def arrays(self) -> Fitted:
+        """What kernels need."""
+        return Fitted(*(getattr(self, name) for name in Fitted._fields))
 
-def least_squares(data: Transitions, ridge: float = 0.0) -> tuple[Floats, NDArray[np.bool_]]:
-    """M (V, n, 1 + p) of least squared residual, and where the data does not determine it (V,).
 
-    Centred and scaled first, so that the rank test and the least-norm solution do not depend on units or on
-    where the vehicle stands.
-    """
+def least_squares(data: Transitions) -> tuple[Floats, NDArray[np.bool_]]:
+    """M (V, n, 1 + p) of least squared residual, and where the data does not determine it (V,)."""
     weight = data.usable[..., None].astype(np.float64)
-    count = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
-    z_mean = (data.z * weight).sum(axis=1, keepdims=True) / count
-    y_mean = (data.target * weight).sum(axis=1, keepdims=True) / count
-    z = (data.z - z_mean) * weight
-    y = (data.target - y_mean) * weight
-    scale = np.sqrt((z**2).sum(axis=1, keepdims=True) / count)
-    floor = 1e-12 * (1.0 + np.abs(z_mean))
-    varies = scale > floor
-    z = z / np.where(varies, scale, 1.0) * varies
-    gram = np.swapaxes(z, 1, 2) @ z / count
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > 1e-10 * np.maximum(values[:, -1:], 1e-300)
-    inverse = (vectors * np.where(kept, 1.0 / np.where(kept, values + ridge, 1.0), 0.0)[:, None, :]) @ np.swapaxes(
-        vectors, 1, 2
-    )
-    slopes = np.swapaxes(inverse @ (np.swapaxes(z, 1, 2) @ y / count), 1, 2) / np.where(varies, scale, 1.0)
-    constant = y_mean[:, 0] - (slopes @ z_mean[:, 0, :, None])[..., 0]
+    count = np.maximum(weight.sum(axis=1), 1.0)
+    z_mean, y_mean = ((a * weight).sum(axis=1) / count for a in (data.z, data.target))
+    z = (data.z - z_mean[:, None]) * weight
+    y = (data.target - y_mean[:, None]) * weight
+    across = np.swapaxes(z, 1, 2)
+    return solve(across @ z / count[..., None], across @ y / count[..., None], z_mean, y_mean)
+
+
+def solve(covariance: Floats, cross: Floats, z_mean: Floats, y_mean: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """M (V, n, 1 + p) from covariances of the regressors (V, p, p) and of these with the targets (V, p, n), and where
+    they do not determine it (V,): there the solution of least norm.
+
+    Regressors are scaled first, so that rank test and least-norm solution do not depend on units or on where the
+    vehicle stands.
+    """
+    scale = np.sqrt(np.maximum(np.einsum("vcc->vc", covariance), 0.0))
+    varies = scale > 1e-12 * (1.0 + np.abs(z_mean))
+    inverse = np.where(varies, 1.0 / np.where(varies, scale, 1.0), 0.0)
+    correlation = covariance * inverse[:, :, None] * inverse[:, None, :]
+    values, vectors = np.linalg.eigh(correlation)
+    kept = values > FULL_RANK * np.maximum(values[:, -1:], 1e-300)
+    spectrum = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+    scaled = (vectors * spectrum[:, None, :]) @ (np.swapaxes(vectors, 1, 2) @ (cross * inverse[:, :, None]))
+    slopes = np.swapaxes(scaled * inverse[:, :, None], 1, 2)
+    constant = y_mean - (slopes @ z_mean[..., None])[..., 0]
     return np.concatenate([constant[..., None], slopes], axis=-1), ~kept.all(axis=1)
 
 
@@ -113,64 +135,132 @@ def apply(matrix: Floats, z: Floats) -> Floats:
 
 
 def fit(data: Transitions, layout: Layout, bounds: NoiseBounds, lipschitz: Lipschitz | None) -> Model:
-    """Fit and bound the models of V vehicles. Every vehicle needs at least one usable transition."""
+    """Fit and bound the models of V vehicles by all of their data. Every vehicle needs a usable transition at least."""
     matrix, deficient = least_squares(data)
     residual = data.target - apply(matrix, data.z)
     usable = data.usable[..., None]
     low = np.where(usable, residual, np.inf).min(axis=1)
     high = np.where(usable, residual, -np.inf).max(axis=1)
+    largest = np.where(usable, np.abs(np.concatenate([data.z, data.target], axis=2)), 0.0).max(axis=1)
+    noise = noise_set(matrix, largest, layout, bounds)
+    order = np.argsort(~data.usable, axis=1, kind="stable")[..., None]
+    by_data = [
+        np.ascontiguousarray(np.swapaxes(np.take_along_axis(np.where(usable, a, 0.0), order, axis=1), 1, 2))
+        for a in (data.z, residual)
+    ]
+    return Model(
+        np.ascontiguousarray(matrix), by_data[0], by_data[1], data.usable.sum(axis=1), low, high, noise,
+        residual_slope(matrix, lipschitz), regressor_noise(layout, bounds, len(matrix)),
+        thin_directions(noise), deficient, data.newest,
+    )  # fmt: skip
+
+
+def regressor_noise(layout: Layout, bounds: NoiseBounds, vehicles: int) -> Floats:
+    """Half-widths (V, p) of the error of the regressors: that of the states among them."""
     half = np.abs(bounds.measurement).sum(axis=1)
-    z_noise = np.concatenate([half[list(layout.free)], np.zeros((layout.lags + 1) * layout.m)])
-    z_noise = np.broadcast_to(z_noise, (len(matrix), len(z_noise)))
-    noise = _noise_set(matrix, data, layout, bounds)
-    slope = residual_slope(matrix, lipschitz)
-    by_data = [np.ascontiguousarray(np.swapaxes(a, 1, 2)) for a in (data.z, np.where(usable, residual, 0.0))]
-    penalty = np.where(data.usable, 0.0, np.inf)[:, None]
-    return Model(matrix, by_data[0], by_data[1], low, high, noise, slope, z_noise, deficient, penalty, data.newest)
+    one = np.concatenate([half[list(layout.free)], np.zeros((layout.lags + 1) * layout.m)])
+    return np.repeat(one[None], vehicles, axis=0)
 
 
-def _noise_set(matrix: Floats, data: Transitions, layout: Layout, bounds: NoiseBounds) -> Floats:
-    """Generators (V, n, g) of N, see the head of this module."""
-    vehicles = len(matrix)
-    states = matrix[..., 1 : 1 + len(layout.free)]
-    through_model = states @ bounds.measurement[list(layout.free)]
+def noise_set(matrix: Floats, largest: Floats, layout: Layout, bounds: NoiseBounds) -> Floats:
+    """Generators (V, n, n + g) of N, see the head of this module; the first n a box.
 
-    def wide(generators: Floats) -> Floats:
-        return np.broadcast_to(generators, (vehicles, *generators.shape))
+    ``largest`` (V, p + n): greatest magnitudes of regressors and targets among the data.
+    """
+    vehicles, n, columns = matrix.shape
+    other = bounds.measurement
+    box = np.abs(matrix[..., 1:]) @ largest[:, : columns - 1, None] + np.abs(matrix[..., :1])
+    box = (columns + 10) * EPS * (box[..., 0] + largest[:, columns - 1 :])
+    if layout.pose is not None:
+        other = bounds.measurement.copy()
+        other[list(layout.pose[:2])] = 0.0
+        box[:, layout.pose[:2]] += position_error(largest[:, columns - 1 :], layout, bounds)
+    # (E + A) Z_v, E for the body frame only: columns that the model does not see are the same for all vehicles.
+    free = bounds.measurement[list(layout.free)]
+    seen = free.any(axis=0)
+    twice = other if layout.pose is not None else np.zeros_like(other)
+    through_model = matrix[..., 1 : 1 + len(layout.free)] @ free[:, seen] + twice[:, seen]
+    common = np.concatenate([bounds.process, other, twice[:, ~seen]], axis=1)
+    # Columns along an axis only add to the box.
+    along = np.count_nonzero(common, axis=0) <= 1
+    box = box + np.abs(common[:, along]).sum(axis=1)
+    slanted = np.broadcast_to(common[:, ~along], (vehicles, n, int((~along).sum())))
+    return np.concatenate([box[..., None] * np.eye(n), slanted, through_model], axis=-1)
 
-    if layout.pose is None:
-        return np.concatenate([wide(bounds.process), wide(bounds.measurement), through_model], axis=-1)
-    other = bounds.measurement.copy()
-    other[list(layout.pose[:2])] = 0.0
-    position = position_error(data, layout, bounds)
-    return np.concatenate([wide(bounds.process), wide(other), through_model + other, position], axis=-1)
 
-
-def position_error(data: Transitions, layout: Layout, bounds: NoiseBounds) -> Floats:
-    """Diagonal generators (V, n, 2): error of the measured body-frame increment in position."""
+def position_error(seen: Floats, layout: Layout, bounds: NoiseBounds) -> Floats:
+    """Half-widths (V, 2): error of the measured body-frame increment in position; ``seen`` (V, n) are the greatest
+    magnitudes of measured increments."""
     assert layout.pose is not None
     first, second, heading = layout.pose
     half = np.abs(bounds.measurement).sum(axis=1)
     two_points = 2.0 * np.hypot(half[first], half[second])
     turn = half[heading]
-    seen = np.where(data.usable[..., None], np.abs(data.target[..., [first, second]]), 0.0).max(axis=1)
+    seen = seen[:, [first, second]]
     # The true increment is within the measured one plus the noise of two positions and one turn.
     longest = np.hypot(seen[:, 0], seen[:, 1]) + two_points
     reach = np.minimum(seen + (two_points + turn * longest)[:, None], longest[:, None])
-    generators = np.zeros((len(seen), len(half), 2))
-    generators[:, first, 0] = two_points + 0.5 * turn**2 * reach[:, 0] + turn * reach[:, 1]
-    generators[:, second, 1] = two_points + turn * reach[:, 0] + 0.5 * turn**2 * reach[:, 1]
-    return generators
+    return np.asarray(two_points + 0.5 * turn**2 * reach + turn * reach[:, ::-1])
+
+
+def thin_directions(noise: Floats) -> Floats:
+    """Directions (V, K, n) in which N is thinner than its box, thinnest first; zero where there are no more.
+
+    N is thin across its long generators: candidates are, for each generator and each pair of coordinates, the direction
+    in that plane that is orthogonal to it; and the diagonals of a planar N. K is 0 if N is a box for the whole class.
+    """
+    vehicles, n, columns = noise.shape
+    if n in (1, columns):
+        return np.zeros((vehicles, 0, n))
+    half = np.abs(noise).sum(axis=2)
+    # Where the box makes up enough of N in all coordinates, it does in all directions.
+    thin = (np.einsum("vii->vi", noise[..., :n]) < THIN * half).any(axis=1)
+    found = np.zeros((vehicles, MOST_DIRECTIONS, n))
+    if thin.any():
+        found[thin] = _thinnest(noise[thin], half[thin])
+    return found
+
+
+def _thinnest(noise: Floats, half: Floats) -> Floats:
+    """See ``thin_directions``; ``half`` (V, n) are the half-widths of N."""
+    vehicles, n, columns = noise.shape
+    pairs = np.array(list(combinations(range(n), 2)))
+    candidates = np.zeros((vehicles, columns - n, len(pairs), n))
+    each = np.arange(len(pairs))
+    slanted = np.swapaxes(noise[..., n:], 1, 2)
+    candidates[..., each, pairs[:, 0]] = slanted[..., pairs[:, 1]]
+    candidates[..., each, pairs[:, 1]] = -slanted[..., pairs[:, 0]]
+    candidates = candidates.reshape(vehicles, (columns - n) * len(pairs), n)
+    if n == 2:
+        diagonal = half[:, None, ::-1] * np.array([[1.0, 1.0], [1.0, -1.0]])
+        candidates = np.concatenate([candidates, diagonal], axis=1)
+    box = np.abs(candidates) @ half[..., None]
+    candidates = candidates / np.where(box > 0, box, 1.0)
+    width = np.abs(candidates @ noise).sum(axis=2)
+    width[box[..., 0] <= 0] = np.inf
+    scaled = candidates * half[:, None]
+    lengths = np.linalg.norm(scaled, axis=2)
+    found = np.zeros((vehicles, MOST_DIRECTIONS, n))
+    each = np.arange(vehicles)
+    for k in range(MOST_DIRECTIONS):
+        best = np.argmin(width, axis=1)
+        thin = width[each, best] < THIN
+        if not thin.any():
+            break
+        found[thin, k] = candidates[each, best][thin]
+        alike = np.abs(scaled @ scaled[each, best][..., None])[..., 0]
+        width[alike > 0.999 * lengths * lengths[each, best][:, None]] = np.inf
+    return found
 
 
 def residual_slope(matrix: Floats, lipschitz: Lipschitz | None) -> Floats:
     """L of the residual function (V, n, p): how fast dynamics and model can drift apart, per regressor."""
     slopes = matrix[..., 1:]
     if lipschitz is None:
-        return np.zeros_like(slopes)
+        return np.zeros(slopes.shape)
     if lipschitz.matrix is not None:
         bound = np.abs(np.array(lipschitz.matrix))
-        return np.broadcast_to(bound, slopes.shape) if lipschitz.of == "residual" else bound + np.abs(slopes)
+        return np.asarray(bound + (0.0 if lipschitz.of == "residual" else 1.0) * np.abs(slopes))
     lower, upper = np.array(lipschitz.lower), np.array(lipschitz.upper)
     return np.maximum(np.abs(lower - slopes), np.abs(upper - slopes))
 
@@ -187,52 +277,14 @@ class ResidualSet:
     contradicted: NDArray[np.bool_]
 
 
-def residual_set(model: Model, center: Floats, half: Floats, *, membership: bool) -> ResidualSet:
-    """Outer bound of e on the boxes ``center ± half`` (V, p) of regressors.
-
-    ``drift_j = Σ_c L_ic D_jc`` with ``D_jc = |center - z_j|_c + half_c + z_noise_c`` bounds, by component i, how far e
-    on the box is from e at datum j; this replaces the covering radius of the paper and needs no covering assumption.
-
-    *Residual hull:* ``e ∈ r_j + N + box(drift_j)`` for each datum, so ``hull + N + box(drift_j)`` for any one j. All
-    components must take the same j: with the least drift of each, a correlated N would lose values. The j of least
-    drift is taken, measured by the widths of hull and N.
-
-    *Set membership* [MN04, theorem 2] uses all data, by component, where each bound holds on its own:
-    ``max_j (r_j - n - drift_j) <= e <= min_j (r_j + n + drift_j)``, n the half-widths of N; the smaller of the two
-    sets by volume is returned. Without any bound L it would trust every single datum with the whole set; the hull is
-    taken then.
-    """
-    constant = (model.slope @ (half + model.z_noise)[..., None])[..., 0]
-    drift = model.slope @ np.abs(center[..., None] - model.z)
-    drift += model.penalty
-    noise_half = np.abs(model.noise).sum(axis=-1)
-    width = (model.high - model.low) / 2 + noise_half
-    widest = width.max(axis=-1, keepdims=True)
-    weight = 1.0 / np.where(widest > 0, np.maximum(width, 1e-6 * widest), 1.0)
-    nearest = np.argmin(weight[:, None] @ drift, axis=-1)
-    allowance = np.take_along_axis(drift, nearest[..., None], axis=-1)[..., 0] + constant
-    n = center.shape[0], model.matrix.shape[1]
-    identity = np.eye(n[1])
-    hull_half = (model.high - model.low) / 2 + allowance
-    hull_center = (model.high + model.low) / 2
-    hull = np.concatenate([hull_half[..., None] * identity, model.noise], axis=-1)
-    nothing = np.zeros(n[0], dtype=bool)
-    if not membership:
-        return ResidualSet(hull_center, hull, nothing)
-    slack = noise_half + constant
-    upper = (model.residual + drift).min(axis=-1) + slack
-    lower = (model.residual - drift).max(axis=-1) - slack
-    contradicted = (lower > upper + 1e-9 * (np.abs(lower) + np.abs(upper))).any(axis=-1)
-    lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
-    known = (model.slope > 0).any(axis=(1, 2)) & ~contradicted
-    box = ((upper - lower) / 2)[..., None] * identity
-    smaller = known & (np.prod(upper - lower, axis=-1) <= _volume(hull))
-    generators = np.where(smaller[:, None, None], np.concatenate([box, np.zeros_like(model.noise)], axis=-1), hull)
-    return ResidualSet(np.where(smaller[:, None], (upper + lower) / 2, hull_center), generators, contradicted)
-
-
-def _volume(generators: Floats) -> Floats:
-    """Area of planar sets, else the volume of the interval hull (which the box of set membership never exceeds)."""
-    if generators.shape[-2] == 2:
-        return zonotope_area(generators)
-    return np.asarray(np.prod(2 * np.abs(generators).sum(axis=-1), axis=-1))
+def residual_set(
+    model: Model, center: Floats, half: Floats, *, membership: bool, plane: tuple[int, int] | None = None
+) -> ResidualSet:
+    """Outer bound of e on the boxes ``center ± half`` (V, p) of regressors (``residuals``): the residual hull, or
+    what set membership leaves of it; sizes are compared by the area in the ``plane`` where one is named."""
+    first, second = plane or ((0, 1) if model.low.shape[1] == 2 else (-1, -1))
+    return ResidualSet(
+        *residual_sets(
+            model.arrays(), np.ascontiguousarray(center), np.ascontiguousarray(half), membership, first, second
+        )
+    )

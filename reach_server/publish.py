@@ -29,7 +29,7 @@ def messages(
     for i, vehicle in enumerate(tubes.vehicles):
         yield ReachTube(
             vehicle, int(tubes.epoch[i]), int(tubes.seq[i]), int(tubes.t[i]), tubes.times[i], state_names, plane,
-            tubes.method, tubes.labels[i], center[i], generators[i], hull[i], tubes.outline[i], tubes.area[i],
+            tubes.methods[i], tubes.labels[i], center[i], generators[i], hull[i], tubes.outline[i], tubes.area[i],
             tubes.area_free[i], tubes.cuts[i], tubes.notes[i], tubes.verdicts[i], audits[i], server,
             server_epoch, compute_seconds,
         )  # fmt: skip

@@ -14,7 +14,8 @@ class Layout:
     """How the state and input of a vehicle class enter a model.
 
     ``pose`` holds the indices (first position, second position, heading) where increments are expressed in
-    the vehicle's own frame, else None; ``free`` the indices of the states that the model depends on.
+    the vehicle's own frame, else None; ``free`` the indices of the states that the model depends on; ``plane`` those of
+    the coordinates in which areas count, where there are two.
     """
 
     n: int
@@ -23,6 +24,7 @@ class Layout:
     pose: tuple[int, int, int] | None
     free: tuple[int, ...]
     angles: tuple[int, ...]
+    plane: tuple[int, int] | None = None
 
     @classmethod
     def of(cls, profile: VehicleProfile, frame: str | None = None) -> "Layout":
@@ -33,7 +35,8 @@ class Layout:
             pose = (*profile.position, profile.heading)
         free = tuple(i for i in range(n) if pose is None or i not in pose)
         angles = tuple(int(i) for i in np.flatnonzero(profile.angles))
-        return cls(n, len(profile.inputs), profile.input_lags, pose, free, angles)
+        plane = profile.position if n > 1 else None
+        return cls(n, len(profile.inputs), profile.input_lags, pose, free, angles, plane)
 
     @property
     def regressors(self) -> int:

@@ -33,3 +33,14 @@ def with_room(array: NDArray[Any] | None, rows: int, like: NDArray[Any]) -> NDAr
     if array is not None:
         grown[:held] = array
     return grown
+
+
+def distinct(rows: NDArray[np.int64]) -> tuple[list[list[int]], NDArray[np.intp]]:
+    """The different rows of (B, K), and which of them each row is (B,)."""
+    if len(rows) == 1:
+        return rows.tolist(), np.zeros(1, dtype=np.intp)
+    if rows.shape[1] == 1:
+        values, inverse = np.unique(rows[:, 0], return_inverse=True)
+        return [[value] for value in values.tolist()], inverse
+    cases, inverse = np.unique(rows, axis=0, return_inverse=True)
+    return cases.tolist(), inverse.ravel()

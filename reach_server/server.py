@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
+from itertools import islice
 from typing import Final
 
 import structlog
@@ -76,6 +77,8 @@ class ReachServer:
         self._compute: deque[float] = deque(maxlen=1000)
         self._asked: dict[str, int] = {}
         self._seen: dict[str, float] = {}
+        #: Why vehicles have no tube, by id.
+        self._waiting: dict[str, str] = {}
 
     def __enter__(self) -> "ReachServer":
         with ExitStack() as opening:
@@ -132,6 +135,9 @@ class ReachServer:
             self._stored += outcome.stored
             self._repeated += outcome.repeated
             for engine, tubes in outcome.tubes:
+                for vehicle in tubes.vehicles:
+                    self._waiting.pop(vehicle, None)
+                self._waiting |= tubes.waiting
                 audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
                 profile = engine.profile
                 for message in publish.messages(
@@ -173,6 +179,7 @@ class ReachServer:
             self.rejections.count(MessageError("key", str(error)), key)
             return
         if not alive:
+            self._waiting.pop(vehicle, None)
             # It may come back with a cache that holds what was missed meanwhile.
             self._asked.pop(vehicle, None)
             self._seen.pop(vehicle, None)
@@ -254,11 +261,13 @@ class ReachServer:
                 "tubes": self._tube_count, "events": self._event_count, "failures": self._failures,
             },
             gauges={
-                "vehicles": float(len(filled)), "window_least": float(min(filled, default=0)),
+                "vehicles": float(len(filled)), "waiting": float(len(self._waiting)),
+                "window_least": float(min(filled, default=0)),
                 "compute_p50": _quantile(self._compute, 0.5), "compute_p99": _quantile(self._compute, 0.99),
                 "tick_p50": _quantile(self._latencies, 0.5), "tick_p99": _quantile(self._latencies, 0.99),
             },
             refused=self.rejections.snapshot(),
+            waiting={vehicle: why[:200] for vehicle, why in islice(sorted(self._waiting.items()), 100)},
         )  # fmt: skip
 
     def _publish_status(self) -> None:

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
+from reach_server import ring
+from reach_server.ring import Ring, Rules, Samples
 from reach_server.rows import take, with_room
-
-#: Samples in a row before the newest stamp after which the newest stamp is no longer believed.
-RESYNC = 3
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,176 +71,293 @@ class Block:
     linked: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """The ring buffers themselves, a row a slot: the sample of place p is ``t[slot, p]``, ``x[slot, p]`` and so on.
+
+    ``t`` (V, S) ns; ``x`` (V, S, n) as received; ``u`` (V, S, m), zero where not known; ``run`` (V, S) number of links
+    that end at a sample, 0 where a trajectory begins (links to samples that have left the window count: go no further
+    back than the window does); ``input_known`` (V, S); ``gated`` (V, S) set by ``Window.gate``: a glitch, to be kept
+    out of models. What stands at places that hold no sample means nothing. To be read, and not to be kept: growing
+    makes new arrays.
+    """
+
+    t: Ints
+    x: Floats
+    u: Floats
+    run: NDArray[np.int32]
+    input_known: NDArray[np.bool_]
+    gated: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, slots=True)
 class Appended:
-    """What became of a batch: samples stored, seen before, and refused because their stamp does not advance."""
+    """What became of the samples of a batch.
 
-    stored: int
-    repeated: int
-    backwards: int
+    Each was stored, or refused: seen before (``repeated``), stamp before the newest one (``backwards``) or equal to it
+    (``stopped``), a state that is no number (``not_finite``), older than all that a full window holds (``too_old``).
+    Of those stored, ``no_input`` had an input that is no number, ``stale`` repeated a pose while moving, ``resynced``
+    set the clock back, and ``jumped`` names (slot, t) of those whose pose jumped.
+    """
+
+    stored: int = 0
+    repeated: int = 0
+    backwards: int = 0
+    stopped: int = 0
+    not_finite: int = 0
+    too_old: int = 0
+    no_input: int = 0
+    stale: int = 0
+    resynced: int = 0
+    jumped: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def refused(self) -> int:
+        """Samples that nobody has seen before and that are kept out."""
+        return self.backwards + self.stopped + self.not_finite
 
 
 class Window:
     """Ring buffers (V, S, ·) of the newest ``S = size`` samples of V vehicles.
 
-    Samples may come in any order and more than once: they are identified by (epoch, seq) and kept sorted by
-    it. A sample whose stamp does not advance within its epoch is refused, so one bad clock reading cannot
-    reorder a trajectory. When ``RESYNC`` samples in a row lie before the newest one, it is the newest one whose
-    stamp was wrong, or the clock was set back: the next is taken, and begins a trajectory since the interval to it
-    is none.
+    Samples may come in any order and more than once: they are identified by (epoch, seq) and kept sorted by it. A
+    sample follows the one before it, is *linked* to it, if it has the same epoch and the next seq, begins no new
+    trajectory, and comes a sample interval later within the profile's tolerance. What else can come:
+
+    ===================  ===============================================================================================
+    state not a number   NaN, infinite or above 1e30: refused, ``not_finite``; the gap begins a trajectory
+    input not a number   stored without input (``INPUT_MISSING``), ``no_input``
+    key seen before      refused, ``repeated``: the values that came first count
+    late sample          put in its place by (epoch, seq) if its stamp fits there (else ``backwards`` or ``stopped``)
+                         and the window still reaches back to it (else ``too_old``)
+    stamp repeated       equal to the newest one of its epoch: refused, ``stopped``, however often it comes
+    stamp backwards      before the newest one of its epoch: refused, ``backwards``; so one bad clock reading cannot
+                         reorder a trajectory
+    clock set back       after three in a row that lie before the newest stamp it is that stamp which was wrong, or the
+                         clock was set back: the next is taken and begins a trajectory, ``resynced``
+    clock set forward    stored, begins a trajectory since the interval is none
+    epoch set back       samples of an older epoch than the newest one are late samples; when nothing else has come 20
+                         times in a row, the vehicle was started anew with its clock set back: its window is cleared
+                         and begins with that epoch, ``resynced``
+    pose jumps           stored, begins a trajectory, ``jumped``. A state jumps where it changes by more than twice what
+                         its ``rate`` allows (positions: what the limits of the speed allow). The pose of a vehicle that
+                         states neither (every state where no role names the pose) jumps where it changes by more
+                         than 10 times every change between linked samples in the window, with 50 of them, and
+                         positions by 3 times what the speed says. Two measurement errors are granted in addition.
+    pose repeated        position bitwise the one before, although the speed says that it moves (by more than two
+                         measurement errors and 5 % of the greatest change in the window): stored, ``stale``; neither
+                         it nor the sample after it, which makes up for two intervals, is linked to the one before
+    ===================  ===============================================================================================
+
+    ``count`` (V,) is the number of samples ever appended, so the next goes to place ``count % size``; ``revision`` (V,)
+    rises whenever what is stored changes in another way: by clearing, a late sample, or gating.
     """
 
     def __init__(self, profile: VehicleProfile, size: int | None = None) -> None:
         self.size = size or profile.window + profile.input_lags + profile.horizon + 2
-        self._interval = profile.sample_time_ns
-        self._slack = profile.tolerance * profile.sample_time_ns
+        self._rules = _rules(profile)
         n, m = len(profile.state), len(profile.inputs)
-        self._count = np.zeros(0, dtype=np.int64)
+        self.count = np.zeros(0, dtype=np.int64)
+        self.revision = np.zeros(0, dtype=np.int64)
         #: Samples in a row that were refused because they lie before the newest one.
         self._earlier = np.zeros(0, dtype=np.int64)
-        self._epoch = np.zeros((0, self.size), dtype=np.uint64)
-        self._seq = np.zeros((0, self.size), dtype=np.uint64)
-        self._t = np.zeros((0, self.size), dtype=np.int64)
-        self._flags = np.zeros((0, self.size), dtype=np.uint32)
-        self._x = np.zeros((0, self.size, n))
-        self._u = np.zeros((0, self.size, m))
+        #: Batches in a row with samples of an older epoch and none of the newest.
+        self._older = np.zeros(0, dtype=np.int64)
+        shape = (0, self.size)
+        self._ring = Ring(
+            np.zeros(shape, dtype=np.uint64), np.zeros(shape, dtype=np.uint64), np.zeros(shape, dtype=np.int64),
+            np.zeros(shape, dtype=np.uint32), np.zeros((*shape, n)), np.zeros((*shape, m)),
+            np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool),
+        )  # fmt: skip
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles; the new ones are empty."""
-        for name in ("_count", "_earlier", "_epoch", "_seq", "_t", "_flags", "_x", "_u"):
+        for name in ("count", "revision", "_earlier", "_older"):
             array = getattr(self, name)
             setattr(self, name, with_room(array, slots, array))
+        self._ring = Ring(*(with_room(column, slots, column) for column in self._ring))
+
+    def columns(self) -> Columns:
+        """The ring buffers, as they are now."""
+        stored = self._ring
+        return Columns(stored.t, stored.x, stored.u, stored.run, stored.input_known, stored.gated)
 
     def clear(self, slot: int) -> None:
         """Forget the samples of one vehicle."""
-        self._count[slot] = self._earlier[slot] = 0
+        self.count[slot] = self._earlier[slot] = self._older[slot] = 0
+        self.revision[slot] += 1
+
+    def gate(self, slots: NDArray[np.intp], places: NDArray[np.intp]) -> None:
+        """Mark samples (B,) as glitches, to be kept out of models; they stay so until they leave the window."""
+        self._ring.gated[slots, places] = True
+        self.revision[slots] += 1
 
     def filled(self, slots: NDArray[np.intp]) -> Ints:
         """Samples held (B,) for some vehicles."""
-        return np.minimum(self._count[slots], self.size)
+        return np.minimum(self.count[slots], self.size)
 
     def append(self, batch: SampleBatch) -> Appended:
         """Store a batch; return what became of its samples."""
-        if not len(batch.vehicle):
-            return Appended(0, 0, 0)
-        batch = batch.take(np.lexsort((batch.seq, batch.epoch, batch.vehicle)))
-        late = self._behind(batch)
-        fresh = batch.take(np.flatnonzero(~np.isin(batch.vehicle, batch.vehicle[late])))
-        stored, repeated, backwards = self._append_sorted(fresh) if len(fresh.vehicle) else (0, 0, 0)
-        for slot in np.unique(batch.vehicle[late]):
-            counts = self._merge(int(slot), batch.take(np.flatnonzero(batch.vehicle == slot)))
-            stored, repeated, backwards = (a + b for a, b in zip((stored, repeated, backwards), counts, strict=True))
-        return Appended(stored, repeated, backwards)
+        samples = _contiguous(batch)
+        late = np.zeros(len(samples.vehicle), dtype=bool)
+        in_order, any_late = ring.survey(samples, self._ring, self.count, self._older, late)
+        if not any_late:
+            return _summary(samples, self._append(samples, in_order=in_order))
+        fate = np.zeros(len(late), dtype=np.uint8)
+        for slot in np.unique(samples.vehicle[late]).tolist():
+            rows = np.flatnonzero(late & (samples.vehicle == slot))
+            if self._starts_anew(slot, samples.epoch[rows]):
+                late[rows] = False
+                fate[rows[0]] = ring.RESYNCED
+            else:
+                fate[rows] = self._merge(slot, _rows(samples, rows))
+        fresh = np.flatnonzero(~late)
+        fate[fresh] |= self._append(_rows(samples, fresh), in_order=in_order)
+        return _summary(samples, fate)
 
-    def _behind(self, batch: SampleBatch) -> NDArray[np.bool_]:
-        """Samples (B,) that are not newer, by (epoch, seq), than the newest one stored of their vehicle."""
-        newest = (self._count[batch.vehicle] - 1) % self.size
-        known = self._count[batch.vehicle] > 0
-        epoch, seq = self._epoch[batch.vehicle, newest], self._seq[batch.vehicle, newest]
-        return np.asarray(known & ((batch.epoch < epoch) | ((batch.epoch == epoch) & (batch.seq <= seq))))
-
-    def _append_sorted(self, batch: SampleBatch) -> tuple[int, int, int]:
-        """Append samples sorted by (vehicle, epoch, seq), all newer than what is stored."""
-        same = np.zeros(len(batch.vehicle), dtype=bool)
-        same[1:] = (
-            (batch.vehicle[1:] == batch.vehicle[:-1])
-            & (batch.epoch[1:] == batch.epoch[:-1])
-            & (batch.seq[1:] == batch.seq[:-1])
-        )
-        repeated = int(same.sum())
-        batch = batch.take(np.flatnonzero(~same))
-        stored = backwards = 0
-        starts = np.flatnonzero(np.r_[True, batch.vehicle[1:] != batch.vehicle[:-1]])
-        rank = np.arange(len(batch.vehicle)) - np.repeat(starts, np.diff(np.r_[starts, len(batch.vehicle)]))
-        # One round stores at most one sample of each vehicle, so that a round is one vectorised write.
-        by_round = np.argsort(rank, kind="stable")
-        for rows in np.split(by_round, np.cumsum(np.bincount(rank))[:-1]):
-            newest = (self._count[batch.vehicle[rows]] - 1) % self.size
-            vehicle = batch.vehicle[rows]
-            earlier = batch.t[rows] < self._t[vehicle, newest]
-            advances = (
-                (self._count[vehicle] == 0)
-                | (self._epoch[vehicle, newest] != batch.epoch[rows])
-                | (batch.t[rows] > self._t[vehicle, newest])
-                | (earlier & (self._earlier[vehicle] >= RESYNC))
-            )
-            self._earlier[vehicle] = np.where(earlier & ~advances, self._earlier[vehicle] + 1, 0)
-            backwards += int((~advances).sum())
-            rows, vehicle = rows[advances], vehicle[advances]
-            place = self._count[vehicle] % self.size
-            self._epoch[vehicle, place] = batch.epoch[rows]
-            self._seq[vehicle, place] = batch.seq[rows]
-            self._t[vehicle, place] = batch.t[rows]
-            self._flags[vehicle, place] = batch.flags[rows]
-            self._x[vehicle, place] = batch.x[rows]
-            self._u[vehicle, place] = batch.u[rows]
-            self._count[vehicle] += 1
-            stored += len(rows)
-        return stored, repeated, backwards
-
-    def _merge(self, slot: int, batch: SampleBatch) -> tuple[int, int, int]:
-        """Put samples among those stored of one vehicle."""
-        old = self._held(slot)
-        known = set(zip(old.epoch.tolist(), old.seq.tolist(), strict=True))
-        new = [
-            i for i, key in enumerate(zip(batch.epoch.tolist(), batch.seq.tolist(), strict=True)) if key not in known
-        ]
-        repeated = len(batch.vehicle) - len(new)
-        if not new:
-            return 0, repeated, 0
-        union = SampleBatch.join([old, batch.take(np.array(new))])
+    def _starts_anew(self, slot: int, epochs: NDArray[np.uint64]) -> bool:
+        """Whether an older epoch, of some late samples, is the one that is alive; the window is cleared then."""
+        newest = self._ring.epoch[slot, (self.count[slot] - 1) % self.size]
+        if (epochs >= newest).any():
+            return False
+        self._older[slot] += 1
+        if self._older[slot] <= ring.OLDER_EPOCH:
+            return False
         self.clear(slot)
-        stored, doubled, backwards = self._append_sorted(union.take(np.lexsort((union.seq, union.epoch))))
-        return stored - len(old.vehicle), repeated + doubled, backwards
+        return True
 
-    def _held(self, slot: int) -> SampleBatch:
-        order = self._order(np.array([slot]))[0]
-        order = order[self.size - int(self.filled(np.array([slot]))[0]) :]
-        return SampleBatch(
-            np.full(len(order), slot, dtype=np.intp), self._epoch[slot, order], self._seq[slot, order],
-            self._t[slot, order], self._flags[slot, order], self._x[slot, order], self._u[slot, order],
-        )  # fmt: skip
+    def _append(self, samples: Samples, *, in_order: bool) -> NDArray[np.uint8]:
+        """Append samples newer than those stored; the fate (B,) of each."""
+        order = None if in_order else np.lexsort((samples.seq, samples.epoch, samples.vehicle))
+        fate = np.zeros(len(samples.vehicle), dtype=np.uint8)
+        ring.append(
+            samples if order is None else _rows(samples, order),
+            self._ring,
+            self.count,
+            self._earlier,
+            self._rules,
+            fate,
+        )
+        if order is not None:
+            fate[order] = fate.copy()
+        return fate
+
+    def _merge(self, slot: int, samples: Samples) -> NDArray[np.uint8]:
+        """Put samples among those stored of one vehicle; the fate (B,) of each."""
+        places = self._places(slot)
+        held = Samples(np.full(len(places), slot), *(column[slot, places] for column in self._ring[:6]))
+        union = Samples._make([np.concatenate([a, b]) for a, b in zip(held, samples, strict=True)])
+        gated = np.r_[self._ring.gated[slot, places], np.zeros(len(samples.vehicle), dtype=bool)]
+        # A stable order: of samples with the same key, those held come first, then those that came first.
+        order = np.lexsort((union.seq, union.epoch))
+        fate = np.zeros(len(order), dtype=np.uint8)
+        ring.fit_in(_rows(union, order), order < len(places), fate)
+        kept = np.flatnonzero(fate == ring.STORED)
+        gone = kept[: max(len(kept) - self.size, 0)]
+        fate[gone[order[gone] >= len(places)]] = ring.TOO_OLD
+        added = int((fate[order >= len(places)] == ring.STORED).sum())
+        if added:
+            self.count[slot] += added
+            self.revision[slot] += 1
+            newest = order[kept[len(gone) :]]
+            start = int(self.count[slot]) - len(newest)
+            found = np.zeros(len(newest), dtype=np.uint8)
+            ring.rebuild(_rows(union, newest), gated[newest], start, self._ring, self._rules, found)
+            fate[kept[len(gone) :]] |= found
+        result = np.zeros(len(samples.vehicle), dtype=np.uint8)
+        came = order >= len(places)
+        result[order[came] - len(places)] = fate[came]
+        return result
+
+    def _places(self, slot: int) -> NDArray[np.intp]:
+        """Places of the samples held of one vehicle, oldest first."""
+        count = int(self.count[slot])
+        return np.arange(max(count - self.size, 0), count) % self.size
 
     def keys(self, slot: int) -> list[tuple[int, int]]:
         """(epoch, seq) of the samples held of one vehicle, oldest first."""
-        held = self._held(slot)
-        return list(zip(held.epoch.tolist(), held.seq.tolist(), strict=True))
+        places = self._places(slot)
+        epoch, seq = self._ring.epoch[slot, places], self._ring.seq[slot, places]
+        return list(zip(epoch.tolist(), seq.tolist(), strict=True))
 
-    def _order(self, slots: NDArray[np.intp]) -> NDArray[np.intp]:
-        return (self._count[slots, None] + np.arange(self.size)) % self.size
+    def _newest_places(self, slots: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+        return (self.count[slots, None] + np.arange(-length, 0)) % self.size
 
     def block(self, slots: NDArray[np.intp], length: int | None = None) -> Block:
         """The newest ``length`` samples (default: all places) of some vehicles, oldest first."""
         length = length or self.size
-        order = self._order(slots)[:, self.size - length :]
+        places = self._newest_places(slots, length)
         rows = slots[:, None]
         valid = np.arange(length)[None] >= length - self.filled(slots)[:, None]
-        epoch, seq = self._epoch[rows, order], self._seq[rows, order]
-        t, flags = self._t[rows, order], self._flags[rows, order]
         linked = np.zeros(valid.shape, dtype=bool)
-        linked[:, 1:] = (
-            valid[:, :-1]
-            & (epoch[:, 1:] == epoch[:, :-1])
-            & (seq[:, 1:] == seq[:, :-1] + np.uint64(1))
-            & (flags[:, 1:] & int(StateFlag.NEW_TRAJECTORY) == 0)
-            & (np.abs(np.diff(t, axis=1) - self._interval) <= self._slack)
-        )
-        input_known = valid & (flags & int(StateFlag.INPUT_MISSING) == 0)
-        return Block(t, self._x[rows, order], self._u[rows, order], valid, input_known, linked)
+        linked[:, 1:] = valid[:, :-1] & (self._ring.run[rows, places[:, 1:]] > 0)
+        stored = self._ring
+        return Block(
+            stored.t[rows, places], stored.x[rows, places], stored.u[rows, places], valid,
+            valid & stored.input_known[rows, places], linked,
+        )  # fmt: skip
 
     def recorded(self, slots: NDArray[np.intp], length: int) -> NDArray[np.bool_]:
         """Which of the newest ``length`` samples of some vehicles (B, length) were recorded before their start."""
-        order = self._order(slots)[:, self.size - length :]
-        return np.asarray(self._flags[slots[:, None], order] & int(StateFlag.HISTORY) != 0)
+        flags = self._ring.flags[slots[:, None], self._newest_places(slots, length)]
+        return np.asarray(flags & int(StateFlag.HISTORY) != 0)
 
     def newest(
         self, slots: NDArray[np.intp]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], Ints, NDArray[np.uint32]]:
         """(epoch, seq, t, flags) of the newest sample of each vehicle; meaningless where none is held."""
-        place = (self._count[slots] - 1) % self.size
-        return (
-            self._epoch[slots, place],
-            self._seq[slots, place],
-            self._t[slots, place],
-            self._flags[slots, place],
-        )
+        place = (self.count[slots] - 1) % self.size
+        stored = self._ring
+        return stored.epoch[slots, place], stored.seq[slots, place], stored.t[slots, place], stored.flags[slots, place]
+
+
+def _rules(profile: VehicleProfile) -> Rules:
+    """What a profile says about the changes of its states."""
+    states, roles = list(profile.state.values()), profile.roles
+    top = np.array([np.inf if spec.rate is None else spec.rate for spec in states])
+    error = np.zeros(len(states))
+    if profile.noise.measurement is not None:
+        error = np.abs(profile.noise.measurement.matrix()).sum(axis=1)
+    named = roles.position is not None
+    first, second = profile.position if named else (-1, -1)
+    speed = -1 if roles.speed is None else profile.state_names.index(roles.speed)
+    pose = np.ones(len(states), dtype=bool)
+    if named:
+        pose = np.isin(np.arange(len(states)), [first, second, -1 if profile.heading is None else profile.heading])
+        allowed = np.hypot(top[first], top[second])
+        limits = states[speed].limits if speed >= 0 else None
+        if limits is not None and speed not in (first, second):
+            allowed = min(allowed, max(abs(limits[0]), abs(limits[1])))
+        top[[first, second]] = allowed
+        error[[first, second]] = np.hypot(error[first], error[second])
+    return Rules(
+        profile.sample_time_ns, profile.tolerance * profile.sample_time_ns, profile.angles, pose, top, 2 * error,
+        first, second, speed,
+    )  # fmt: skip
+
+
+def _contiguous(batch: SampleBatch) -> Samples:
+    # Kernels are compiled once, for writable contiguous arrays.
+    return Samples(
+        np.require(batch.vehicle, np.int64, ("C", "W")), np.require(batch.epoch, np.uint64, ("C", "W")),
+        np.require(batch.seq, np.uint64, ("C", "W")), np.require(batch.t, np.int64, ("C", "W")),
+        np.require(batch.flags, np.uint32, ("C", "W")), np.require(batch.x, np.float64, ("C", "W")),
+        np.require(batch.u, np.float64, ("C", "W")),
+    )  # fmt: skip
+
+
+def _rows(samples: Samples, rows: NDArray[np.intp]) -> Samples:
+    return Samples._make([column[rows] for column in samples])
+
+
+def _summary(samples: Samples, fate: NDArray[np.uint8]) -> Appended:
+    if not fate.any():
+        return Appended(len(fate))
+    counts = np.bincount(fate & ring.REFUSED, minlength=ring.TOO_OLD + 1).tolist()
+    no_input, stale, again = (int((fate & mark != 0).sum()) for mark in (ring.NO_INPUT, ring.STALE, ring.RESYNCED))
+    jumped = np.flatnonzero(fate & ring.JUMPED)
+    named = zip(samples.vehicle[jumped].tolist(), samples.t[jumped].tolist(), strict=True)
+    return Appended(
+        counts[ring.STORED], counts[ring.REPEATED], counts[ring.BACKWARDS], counts[ring.STOPPED],
+        counts[ring.NOT_FINITE], counts[ring.TOO_OLD], no_input, stale, again, tuple(named),
+    )  # fmt: skip

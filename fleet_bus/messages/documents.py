@@ -93,6 +93,9 @@ class EventKind(StrEnum):
     CONTRADICTION = "contradiction"
     MISS = "miss"
     DATA_CONTRADICTED = "data_contradicted"
+    COVERAGE = "coverage"
+    JUMP = "jump"
+    GLITCH = "glitch"
     VEHICLE_GONE = "vehicle_gone"
 
 
@@ -123,3 +126,6 @@ class ServiceStatus(Document):
     counters: dict[str, int] = Field(default_factory=dict, max_length=256)
     gauges: dict[str, float] = Field(default_factory=dict, max_length=256)
     refused: dict[str, int] = Field(default_factory=dict, max_length=256)
+    waiting: dict[Id, Annotated[str, Field(max_length=200)]] = Field(
+        default_factory=dict, max_length=100, description="vehicles without a tube, and why; the first 100"
+    )

@@ -128,7 +128,7 @@ class VehicleProfile(Document):
     input_lags: Annotated[int, Field(ge=0, le=32)] = 0
     window: Annotated[int, Field(ge=8, le=100_000)] = 1000
     reservoir: Annotated[int, Field(ge=0, le=100_000, description="older samples kept beside the window")] = 0
-    nearest: Annotated[int, Field(ge=1, le=100_000, description="data that bound the residual at a set")] = 64
+    nearest: Annotated[int, Field(ge=1, le=100_000, description="data that bound the residual on a vehicle's way")] = 64
     noise: Noise = Noise()
     lipschitz: Lipschitz | None = None
     future_inputs: Literal["limits", "rate", "plan", "learned"] = "rate"

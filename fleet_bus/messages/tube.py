@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from enum import StrEnum
 from typing import Any, Final, Self
 
@@ -40,11 +40,19 @@ class Cut:
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """One-step predictions checked against what was measured: counts since the window was filled."""
+    """One-step predictions checked against what was measured, since the vehicle or its profile came.
+
+    ``last_miss`` is by how much the last miss lay outside: its greatest excess of a component over the set's interval
+    hull, in the unit of that component. ``recent`` (at most 1000) are the newest checks, of which ``recent_inside``
+    held and at most ``band`` may miss before the record is called outside of its band.
+    """
 
     checked: int = 0
     inside: int = 0
-    last_miss: float = 0.0  #: by how much the last miss lay outside, largest component, state's unit
+    last_miss: float = 0.0
+    recent: int = 0
+    recent_inside: int = 0
+    band: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +110,14 @@ class ReachTube:
                 "k": [[cut.scenario, cut.predicate, cut.first, cut.last] for cut in self.cuts],
                 "n": list(self.notes),
                 "vd": dict(self.verdicts),
-                "au": [self.audit.checked, self.audit.inside, float(self.audit.last_miss)],
+                "au": [
+                    self.audit.checked,
+                    self.audit.inside,
+                    float(self.audit.last_miss),
+                    self.audit.recent,
+                    self.audit.recent_inside,
+                    self.audit.band,
+                ],
                 "sv": self.server,
                 "se": self.server_epoch,
                 "ct": float(self.compute_seconds),
@@ -128,15 +143,22 @@ class ReachTube:
         generators = len(fields["g"]) // (4 * steps * n)
         vertices = len(fields["o"]) // (4 * steps * 2)
         cuts = tuple(Cut(*_row(cut, "k", (str, str, int, int))) for cut in fields["k"])
-        checked, inside, miss = _row(fields["au"], "au", (int, int, float))
+        checked, inside, miss, *rolling = _row(fields["au"], "au", (int, int, float, int, int, int))
+        audit = Audit(checked, inside, float(miss), *rolling)
         if not all(isinstance(text, str) for text in (*fields["n"], *fields["vd"], *fields["vd"].values())):
             raise MessageError("fields", "notes 'n' and verdicts 'vd' must be texts")
         if keys.ID_PATTERN.fullmatch(fields["v"]) is None:
             raise MessageError("fields", f"vehicle {fields['v']!r:.80} cannot be an id")
-        counts = (fields["e"], fields["s"], fields["se"], inside, checked - inside, miss, fields["ct"])
+        counts = (fields["e"], fields["s"], fields["se"], fields["ct"])
         if min(counts) < 0 or not 0 < fields["t"] < 2**63:
-            raise MessageError("range", "a time, counter or duration is negative, or more were inside than checked")
-        if not (math.isfinite(miss) and math.isfinite(fields["ct"])):
+            raise MessageError("range", "a time, counter or duration is negative")
+        if (
+            not 0 <= audit.recent <= audit.checked
+            or min(audit.checked - audit.inside, audit.recent - audit.recent_inside) < 0
+            or min(astuple(audit)) < 0
+        ):
+            raise MessageError("range", "a number of the audit is negative, or more were inside than checked")
+        if not (math.isfinite(audit.last_miss) and math.isfinite(fields["ct"])):
             raise MessageError("not_finite", "the last miss or the compute time is NaN or an infinity")
         return cls(
             fields["v"], fields["e"], fields["s"], fields["t"],
@@ -148,7 +170,7 @@ class ReachTube:
             codec.from_bin(fields, "o", (steps, vertices, 2), "<f4").astype(np.float64),
             codec.from_bin(fields, "a", (steps,)),
             codec.from_bin(fields, "af", (steps,)),
-            cuts, tuple(fields["n"]), fields["vd"], Audit(checked, inside, float(miss)),
+            cuts, tuple(fields["n"]), fields["vd"], audit,
             fields["sv"], fields["se"], float(fields["ct"]),
         )  # fmt: skip
 

@@ -93,8 +93,10 @@ TUBE_FIELDS: Final[tuple[Field, ...]] = (
     Field("n", "notes", {"type": "array", "items": _TEXT}, "", "limitations in words, such as 'rank deficient'"),
     Field("vd", "verdicts", {"type": "object", "additionalProperties": _TEXT}, "", "requirement to verdict; empty"),
     Field(
-        "au", "audit", _list(_UNSIGNED, _UNSIGNED, _SECONDS), "–, –, of the state",
-        "one-step predictions checked, how many held, and by how much the last miss lay outside",
+        "au", "audit", _list(_UNSIGNED, _UNSIGNED, _SECONDS, _UNSIGNED, _UNSIGNED, _UNSIGNED),
+        "–, –, of the state, –, –, –",
+        "one-step predictions checked, how many held, by how much the last miss lay outside; of the newest (at most "
+        "1000) how many there are, how many held, and how many misses among them the confidence explains",
     ),
     Field("sv", "server", _TEXT, "", "id of the server that computed the tube"),
     Field("se", "server_epoch", _UNSIGNED, "ns", "when that server started"),

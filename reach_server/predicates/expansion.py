@@ -20,7 +20,7 @@ from reach_server.predicates.remainders import greatest_curvature, greatest_quad
 from reach_server.predicates.rules import Bounds
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.intervals import add_down, add_up, sum_up
-from reach_server.sets.strips import EMPTY_MARGIN
+from reach_server.sets.kernels import EMPTY_MARGIN
 
 
 @dataclass(frozen=True, slots=True, eq=False)

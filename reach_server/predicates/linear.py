@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from reach_server.predicates.cuts import Blur, Context, Status, Strips
-from reach_server.predicates.ranges import form_range, reach, spread
+from reach_server.predicates.fixed_status import fixed_status
+from reach_server.predicates.ranges import reach, spread
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.strips import strip_bounds
 
@@ -50,9 +51,9 @@ class LinearCutter:
 
     def status(self, center: Array, generators: Array, context: Context) -> Status:
         """See ``Cutter``: exact, up to rounding."""
-        low, high = form_range(self.region.normal, center[:, None], generators[:, None])
-        holds = np.all((self.region.lower <= low) & (high <= self.region.upper), axis=1)
-        return status_of(holds, missed(self.region.moved, center, generators))
+        region, moved = self.region, self.region.moved
+        bounds = region.normal, region.lower, region.upper, moved.lower, moved.upper
+        return fixed_status(*map(np.ascontiguousarray, (*bounds, center, generators)))
 
     def strips(self, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
         """See ``Cutter``."""

@@ -42,6 +42,7 @@ class Literals:
         self._noise = np.array(noise, dtype=np.float64).reshape(n, -1) if known else None
         self._entries: list[_Entry] = []
         self._known: dict[tuple[object, ...], int] = {}
+        self._fixed_strips: dict[int, Strips] = {}
 
     def add(
         self,
@@ -90,6 +91,16 @@ class Literals:
     def fixed(self, literal: int) -> bool:
         """Whether its strips depend neither on the set nor on the context."""
         return self._noise is None or self._entries[literal].cutter.fixed
+
+    def fixed_strips(self, literal: int) -> Strips:
+        """The strips (C) of a literal for which they depend neither on the set nor on the context."""
+        found = self._fixed_strips.get(literal)
+        if found is None:
+            nothing = np.zeros((0, self._n))
+            nowhere = Context(nothing[:, 0], nothing[:, 0], nothing[:, 0], nothing, nothing)
+            found, _ = self.strips(literal, nothing, nothing[:, :, None], nowhere)
+            self._fixed_strips[literal] = found
+        return found
 
     def status(self, ids: Sequence[int], center: Array, generators: Array, context: Context) -> Status:
         """What literals (L,) come to on sets of *true* states (R, n), (R, n, g): (R, L).

@@ -20,7 +20,7 @@ from reach_server.predicates.ranges import dot, product, reach
 from reach_server.predicates.rules import Bounds
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.intervals import add_down, add_up
-from reach_server.sets.strips import EMPTY_MARGIN
+from reach_server.sets.kernels import EMPTY_MARGIN
 
 #: Tangents are stacked where what is missing to concavity adds less than this, relative to the range of h.
 NEARLY_CONCAVE = 1e-6

@@ -1,18 +1,9 @@
-"""Ranges of linear forms over zonotopes, rounded outwards; exact where floating-point arithmetic is."""
+"""Parts of the range of a linear form over a zonotope, rounded outwards; exact where floating-point arithmetic is."""
 
 import numpy as np
 
 from reach_server.sets.arrays import Array
 from reach_server.sets.intervals import add_down, add_up, sum_up
-
-
-def form_range(normal: Array, center: Array, generators: Array) -> tuple[Array, Array]:
-    """Least and greatest ``normal·x`` (...) over zonotopes: outer, 1 ulp a product and a sum.
-
-    normal (..., n), center (..., n), generators (..., n, g) with batch axes that go together.
-    """
-    low, high = dot(normal, center)
-    return spread(low, high, reach(normal, generators))
 
 
 def spread(low: Array, high: Array, by: Array) -> tuple[Array, Array]:

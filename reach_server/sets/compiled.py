@@ -1,7 +1,7 @@
-"""Numba behind a typed door: what the loops of linear programming need and NumPy cannot give."""
+"""Numba behind a typed door: loops over single sets that NumPy cannot give."""
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
@@ -18,7 +18,46 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
     The cache looks at the function's own file only: after a change in a kernel that kernels of other modules call,
     delete their ``__pycache__``.
     """
-    return cast(Callable[P, T], numba.njit(cache=True, error_model="numpy")(function))
+    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def borrowing(function: Callable[P, T]) -> Callable[P, T]:
+    """Like ``compiled``, for what makes no arrays: it does not count the references to those that it is given, which
+    takes longer than the work on small ones. Whoever calls keeps them alive."""
+    # Numba's run time system, which counts, is an option that its types do not know.
+    without: dict[str, Any] = {"_nrt": False}
+    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", **without)(function))
+
+
+def summing(function: Callable[P, T]) -> Callable[P, T]:
+    """Like ``compiled``, for what adds up many terms in any order: the processor then adds several at once.
+
+    The order is fixed when the function is compiled: equal arguments give equal results. Not for sums that are rounded
+    outwards term by term; and ``x - x`` becomes 0 whatever x is, which ``np.isfinite`` is made of: ``abs(x) < np.inf``
+    is what tells there.
+    """
+    order_free = {"reassoc", "nsz"}
+    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=order_free)(function))
+
+
+def borrowing_sum(function: Callable[P, T]) -> Callable[P, T]:
+    """``summing`` for what makes no arrays, ``borrowing``."""
+    options: dict[str, Any] = {"_nrt": False, "fastmath": {"reassoc", "nsz"}}
+    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function))
+
+
+def inner(function: Callable[P, T]) -> Callable[P, T]:
+    """A part of compiled functions: its text takes the place of each call, and is compiled as the caller is.
+
+    For functions on sets of a few numbers, where a call takes as long as the work.
+    """
+    return cast(Callable[P, T], numba.njit(inline="always", error_model="numpy")(function))
+
+
+def inner_sum(function: Callable[P, T]) -> Callable[P, T]:
+    """A sum that compiled functions call, ``summing``. Compiled with each of them, which may then take it in."""
+    order_free = {"reassoc", "nsz"}
+    return cast(Callable[P, T], numba.njit(nogil=True, error_model="numpy", fastmath=order_free)(function))
 
 
 def stacked(array: Array, own: int, batch: tuple[int, ...], size: int) -> Array:

@@ -1,49 +1,53 @@
 """Areas and outlines in the plane."""
 
+import math
 from collections.abc import Iterable, Iterator
 from itertools import combinations, islice
 
 import numpy as np
 
 from reach_server.sets.arrays import Array
+from reach_server.sets.compiled import compiled, stacked, summing
+from reach_server.sets.figure_kernels import clip_one, polygon_of
+from reach_server.sets.kernels import pair_area
 
 #: Determinants that are computed at once.
 CHUNK = 50_000
 
 
 def zonotope_area(generators: Array) -> Array:
-    """Exact area (...) of planar zonotopes with generators (..., 2, g): ``4 Σ_{i<j} |det(g_i, g_j)|``.
+    """Exact area (...) of planar zonotopes with generators (..., 2, g): ``4 Σ_{i<j} |det(g_i, g_j)|``."""
+    batch = generators.shape[:-2]
+    return _area_rows(_flat(generators)).reshape(batch)
 
-    Sorted by angle, the pairwise determinants of half-plane-normalised generators are nonnegative, so their
-    sum needs one cumulative sum instead of all pairs.
-    """
-    if generators.shape[-1] == 0:
-        return np.zeros(generators.shape[:-2])
-    ordered = _by_angle(generators)
-    before = np.cumsum(ordered, axis=-1) - ordered
-    determinants = before[..., 0, :] * ordered[..., 1, :] - before[..., 1, :] * ordered[..., 0, :]
-    return np.asarray(4.0 * np.abs(determinants).sum(axis=-1))
+
+@summing
+def _area_rows(generators: Array) -> Array:
+    area = np.zeros(len(generators))
+    for p in range(len(generators)):
+        area[p] = pair_area(generators[p], 0, 1, generators.shape[2])
+    return area
 
 
 def zonotope_polygon(center: Array, generators: Array) -> Array:
     """Exact vertices (..., 2 g, 2) of planar zonotopes, counter-clockwise; parallel generators repeat none of them
-    but leave vertices in the middle of an edge."""
-    if generators.shape[-1] == 0:
-        return center[..., None, :]
-    ordered = 2.0 * np.swapaxes(_by_angle(generators), -1, -2)
-    start = center[..., None, :] - ordered.sum(axis=-2, keepdims=True) / 2
-    # From the lowest vertex the edges follow each other by angle, then again with opposite sign.
-    edges = np.concatenate([ordered, -ordered], axis=-2)
-    return np.asarray(start + np.cumsum(edges, axis=-2))
+    but leave vertices in the middle of an edge, zero ones repeat one."""
+    around = _polygon_rows(_flat(generators))
+    return center[..., None, :] + around.reshape(*generators.shape[:-2], *around.shape[1:])
 
 
-def _by_angle(generators: Array) -> Array:
-    """Generators turned into the upper half plane (sign does not matter to the set) and sorted by angle."""
-    x, y = generators[..., 0, :], generators[..., 1, :]
-    sign = np.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)
-    turned = generators * sign[..., None, :]
-    order = np.argsort(np.arctan2(turned[..., 1, :], turned[..., 0, :]), axis=-1, kind="stable")
-    return np.take_along_axis(turned, order[..., None, :], axis=-1)
+@summing
+def _polygon_rows(generators: Array) -> Array:
+    count, _, g = generators.shape
+    vertices, edges = np.zeros((count, max(2 * g, 1), 2)), np.zeros((3, g))
+    for p in range(count):
+        polygon_of(generators[p], 0, 1, g, vertices[p], edges)
+    return vertices
+
+
+def _flat(array: Array) -> Array:
+    """Matrices (..., a, b) in one batch axis, contiguous and read-only."""
+    return stacked(array, 2, array.shape[:-2], math.prod(array.shape[:-2]))
 
 
 def directions(count: int) -> Array:
@@ -59,21 +63,38 @@ def outer_polygon(heights: Array) -> Array:
     superfluous is first lowered to what they imply, so that the vertices come in order. An outer bound.
     """
     count = heights.shape[-1]
+    flat = np.ascontiguousarray(heights).reshape(-1, count)
+    return _outer_vertices(flat, directions(count)).reshape(*heights.shape, 2)
+
+
+@compiled
+def _outer_vertices(heights: Array, unit: Array) -> Array:
+    """Vertices (R, K, 2) of polygons of heights (R, K) over the directions ``unit`` (K, 2)."""
+    rows, count = heights.shape
     turn = 2 * np.pi / count
-    lowered = heights
-    # Between two directions less than half a turn apart, their bounds imply one; in the plane two are enough.
-    for before, after in combinations(range(1, (count + 1) // 2), 2):
-        left, right = before, after - before
-        implied = np.roll(heights, left, axis=-1) * np.sin(right * turn)
-        implied = (implied + np.roll(heights, -right, axis=-1) * np.sin(left * turn)) / np.sin(after * turn)
-        lowered = np.minimum(lowered, implied)
-    heights = lowered
-    following = np.roll(heights, -1, axis=-1)
-    unit = directions(count)
-    tangent = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
-    # On the edge of direction k the next edge is met at this signed distance from its foot point.
-    along = (following - heights * np.cos(turn)) / np.sin(turn)
-    return np.asarray(heights[..., None] * unit + along[..., None] * tangent)
+    sine = np.sin(turn * np.arange(count))
+    cosine = np.cos(turn)
+    vertices, lowered = np.empty((rows, count, 2)), np.empty(count)
+    for row in range(rows):
+        proper = True
+        for k in range(count):
+            lowered[k] = heights[row, k]
+            # Every edge has a length if no bound is superfluous beside its neighbours.
+            proper = proper and heights[row, k - 1] + heights[row, (k + 1) % count] >= 2 * cosine * lowered[k]
+        for k in range(0 if proper else count):
+            # Between two directions less than half a turn apart, their bounds imply one; in the plane two are enough.
+            for after in range(2, (count + 1) // 2):
+                for left in range(1, after):
+                    right = after - left
+                    before, behind = heights[row, (k - left) % count], heights[row, (k + right) % count]
+                    implied = (before * sine[right] + behind * sine[left]) / sine[after]
+                    lowered[k] = min(lowered[k], implied)
+        for k in range(count):
+            # On the edge of direction k the next edge is met at this signed distance from its foot point.
+            along = (lowered[(k + 1) % count] - lowered[k] * cosine) / np.sin(turn)
+            vertices[row, k, 0] = lowered[k] * unit[k, 0] - along * unit[k, 1]
+            vertices[row, k, 1] = lowered[k] * unit[k, 1] + along * unit[k, 0]
+    return vertices
 
 
 def clip(vertices: Array, normal: Array, bound: Array) -> Array:
@@ -82,25 +103,23 @@ def clip(vertices: Array, normal: Array, bound: Array) -> Array:
     Counter-clockwise order stays; points repeat instead of the number of vertices varying. ``normal`` is (2,) and
     ``bound`` (...). A polygon without a vertex inside comes back whole.
     """
-    height = vertices @ normal - bound[..., None]
-    inside = np.less_equal(height, 0.0)
-    whole = np.asarray(inside.all(axis=-1) | ~inside.any(axis=-1))
-    places = []
-    for neighbour in (1, -1):
-        other, other_height = np.roll(vertices, neighbour, axis=-2), np.roll(height, neighbour, axis=-1)
-        crosses = ~inside & (other_height <= 0)
-        # Where a bound is infinite the heights are, but nothing crosses there.
-        above, below = np.where(crosses, height, 1.0), np.where(crosses, other_height, 0.0)
-        share = (above / (above - below))[..., None]
-        point = np.where(crosses[..., None], vertices + share * (other - vertices), vertices)
-        places.append((point, crosses | (inside | whole[..., None] if neighbour > 0 else False)))
-    points = np.stack([places[0][0], places[1][0]], axis=-2).reshape(*vertices.shape[:-2], -1, 2)
-    valid = np.stack([places[0][1], places[1][1]], axis=-1).reshape(*vertices.shape[:-2], -1)
-    # One half-plane leaves at most one vertex more; the last one is repeated where there are fewer.
-    most = vertices.shape[-2] + 1
-    order = np.argsort(~valid, axis=-1, kind="stable")[..., :most]
-    place = np.minimum(np.arange(most), valid.sum(axis=-1, keepdims=True) - 1)
-    return np.take_along_axis(points, np.take_along_axis(order, place, axis=-1)[..., None], axis=-2)
+    batch = np.broadcast_shapes(vertices.shape[:-2], bound.shape)
+    size = math.prod(batch)
+    clipped = _clipped_rows(
+        stacked(vertices, 2, batch, size), float(normal[0]), float(normal[1]), stacked(bound, 0, batch, size), size
+    )
+    return clipped.reshape(*batch, *clipped.shape[1:])
+
+
+@summing
+def _clipped_rows(vertices: Array, x: float, y: float, bounds: Array, count: int) -> Array:
+    most = vertices.shape[1] + 1
+    clipped = np.zeros((count, most, 2))
+    for p in range(count):
+        found = clip_one(vertices[p % len(vertices)], most - 1, x, y, bounds[p % len(bounds)], clipped[p])
+        for i in range(found, most):
+            clipped[p, i, 0], clipped[p, i, 1] = clipped[p, found - 1, 0], clipped[p, found - 1, 1]
+    return clipped
 
 
 def polygon_area(vertices: Array) -> Array:

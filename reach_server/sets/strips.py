@@ -1,18 +1,18 @@
 """Zonotope and strip: enclosures of ``{x in Z : lower <= H x <= upper}``."""
 
-from typing import Literal, get_args
+import math
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from reach_server.sets.arrays import Array, Mask, SetError, checked, checked_batch, checked_bounds
-from reach_server.sets.intervals import EPS, Interval, add_down, add_up
+from reach_server.sets.compiled import stacked, summing
+from reach_server.sets.intervals import Interval, add_down, add_up
+from reach_server.sets.kernels import MISSED, WORK, Flags, narrow_one, tightened
 from reach_server.sets.planar import zonotope_area
 
 StripMethod = Literal["tight", "frobenius"]
-
-#: A strip is taken to miss the set only if it does so by more than this, relative to the numbers compared.
-EMPTY_MARGIN = 1e-9
 
 
 def known(method: StripMethod) -> StripMethod:
@@ -68,6 +68,16 @@ def _sum(radius: Array, excess: Array) -> Array:
     return np.where(infinite, np.inf, add_up(np.where(infinite, 0.0, radius), np.where(infinite, 0.0, excess)))
 
 
+class Narrowed(NamedTuple):
+    """Zonotopes after their cuts: ``center`` (..., z), ``generators`` (..., z, g + C), zero beyond the first ``used``
+    (...) columns, and the flags ``acted`` (..., C) of the strips (``ACTED``, ``MISSED`` in ``kernels``)."""
+
+    center: Array
+    generators: Array
+    used: NDArray[np.int64]
+    acted: Flags
+
+
 def strip_bounds(
     center: Array, generators: Array, normal: Array, lower: Array, upper: Array
 ) -> tuple[Array, Array, Mask, Mask]:
@@ -76,18 +86,17 @@ def strip_bounds(
     ``cuts`` is False where the strip holds on the whole set; ``empty`` is certain: the strip and the set are
     disjoint by more than the rounding of the comparison.
     """
-    middle = (normal * center).sum(axis=-1)
-    reach = np.abs((normal[..., None, :] @ generators)[..., 0, :]).sum(axis=-1)
-    low, high = np.maximum(lower, middle - reach), np.minimum(upper, middle + reach)
-    # What the sums may have lost does not shrink with them: of 1e12 - 1e12 nothing is left but the rounding.
-    size = (np.abs(normal) * (np.abs(center) + np.abs(generators).sum(axis=-1))).sum(axis=-1)
-    lost = sum(generators.shape[-2:]) * EPS * size
-    margin = EMPTY_MARGIN * (np.abs(middle) + reach + np.abs(np.where(np.isfinite(low), low, 0.0))) + lost
-    empty = low > high + margin
-    cuts = ((lower > middle - reach) | (upper < middle + reach)) & ~empty
-    # Within the margin the two may cross by rounding: keep the hull of both, which only enlarges.
-    low, high = np.minimum(low, high), np.maximum(low, high)
-    return (low + high) / 2, (high - low) / 2, cuts, empty
+    batch = np.broadcast_shapes(
+        center.shape[:-1], generators.shape[:-2], normal.shape[:-1], np.shape(lower), np.shape(upper)
+    )
+    size = math.prod(batch)
+    found = _tightened_rows(
+        stacked(center, 1, batch, size), stacked(generators, 2, batch, size),
+        stacked(normal[..., None, :], 2, batch, size), stacked(np.asarray(lower), 0, batch, size),
+        stacked(np.asarray(upper), 0, batch, size), size,
+    )  # fmt: skip
+    middle, radius, cuts, empty = found
+    return middle.reshape(batch), radius.reshape(batch), cuts.reshape(batch), empty.reshape(batch)
 
 
 def intersect_strip(
@@ -99,93 +108,109 @@ def intersect_strip(
     *,
     method: StripMethod = "tight",
     plane: tuple[int, int] | None = None,
-    candidates: int = 8,
 ) -> tuple[Array, Array, Mask]:
     """Center, generators (..., n, g + 1) of a zonotope around the intersection, and where it is certainly empty.
 
-    For every vector λ the zonotope ``<c + λ(q - Hc), [(I - λH)G, λr]>`` contains the intersection with
-    ``|Hx - q| <= r`` [ABC05, section 4]; λ = 0 leaves the set as it is. An outer bound.
-
-    ``frobenius`` takes the λ of least Frobenius norm and the strip as given (the paper's Algorithm 2; the
-    result may be larger than the set). ``tight`` first tightens the strip to the set, then takes the best of
-    the Frobenius λ, Bravo's ``λ_j = g_j / (H g_j)`` for the generators that matter most to H, and λ = 0: never
-    larger than the set. Best means the least area in ``plane`` (or of a planar set) times the product of the
-    widths of the other coordinates; without a plane, the least product of all widths.
+    An outer bound; ``frobenius`` and ``tight`` are those of ``kernels.narrow_one``: the paper's Algorithm 2, whose
+    result may be larger than the set, and the best of some λ, whose result never is. Sizes are compared by the area in
+    ``plane`` (or of a planar set) times the widths of the other coordinates; without a plane by all widths.
 
     An empty intersection, and a strip that does not cut, return the set unchanged (with a zero generator).
     """
-    q, r, cuts, empty = strip_bounds(center, generators, normal, lower, upper)
-    if method == "frobenius":
-        two_sided = np.isfinite(lower) & np.isfinite(upper)
-        q = np.where(two_sided, (np.where(two_sided, lower, 0.0) + np.where(two_sided, upper, 0.0)) / 2, q)
-        r = np.where(two_sided, (np.where(two_sided, upper, 0.0) - np.where(two_sided, lower, 0.0)) / 2, r)
-        acts = (two_sided | cuts) & ~empty
-    else:
-        acts = cuts
-    # A half-space at infinity that misses the set has no radius to compute with.
-    q, r = np.where(acts, q, 0.0), np.where(acts, r, 0.0)
-    heights = (normal[..., None, :] @ generators)[..., 0, :]
-    spread = generators @ heights[..., None]
-    denominator = (heights**2).sum(axis=-1) + r**2
-    frobenius = _divided(spread[..., 0], denominator[..., None])
-    if method == "frobenius":
-        chosen = frobenius
-    else:
-        chosen = _best_lambda(generators, normal, r, heights, frobenius, plane, candidates)
-    chosen = np.where(acts[..., None], chosen, 0.0)
-    shift = (q - (normal * center).sum(axis=-1))[..., None]
-    new_center = center + chosen * np.where(acts[..., None], shift, 0.0)
-    return new_center, _cut_generators(generators, heights, chosen, r), empty
+    found = narrow(
+        center, generators, normal[..., None, :], np.asarray(lower)[..., None], np.asarray(upper)[..., None],
+        np.ones(1, dtype=bool), method=method, plane=plane,
+    )  # fmt: skip
+    return found.center, found.generators, (found.acted[..., 0] & MISSED) != 0
 
 
-def _cut_generators(generators: Array, heights: Array, chosen: Array, radius: Array) -> Array:
-    """``[(I - λH)G, λr]`` for λ (..., n), HG (..., g) and r (...)."""
-    moved = generators - chosen[..., :, None] * heights[..., None, :]
-    added = (chosen * radius[..., None])[..., None]
-    return np.concatenate([moved, np.broadcast_to(added, (*moved.shape[:-1], 1))], axis=-1)
-
-
-def _best_lambda(
+def narrow(
+    center: Array,
     generators: Array,
-    normal: Array,
-    radius: Array,
-    heights: Array,
-    frobenius: Array,
-    plane: tuple[int, int] | None,
-    candidates: int,
-) -> Array:
-    n, g = generators.shape[-2:]
-    count = min(candidates, g)
-    batch = np.broadcast_shapes(heights.shape[:-1], frobenius.shape[:-1])
-    strongest = np.argsort(-np.abs(heights), axis=-1, kind="stable")[..., :count]
-    columns = np.take_along_axis(
-        np.broadcast_to(generators, (*batch, n, g)),
-        np.broadcast_to(strongest, (*batch, count))[..., None, :],
-        axis=-1,
-    )
-    slopes = np.take_along_axis(
-        np.broadcast_to(heights, (*batch, g)), np.broadcast_to(strongest, (*batch, count)), axis=-1
-    )
-    usable = np.abs(slopes) > 1e-12 * np.abs(heights).sum(axis=-1, keepdims=True)
-    bravo = _divided(columns, np.where(usable, slopes, 0.0)[..., None, :])
-    options = np.concatenate(
-        [
-            np.zeros((*batch, 1, n)),
-            np.broadcast_to(frobenius, (*batch, n))[..., None, :],
-            np.swapaxes(bravo, -1, -2),
-        ],
-        axis=-2,
-    )
-    cut = _cut_generators(generators[..., None, :, :], heights[..., None, :], options, radius[..., None])
-    best = np.argmin(log_size(cut, plane), axis=-1)
-    return np.take_along_axis(options, best[..., None, None], axis=-2)[..., 0, :]
+    normals: Array,
+    lower: Array,
+    upper: Array,
+    active: Mask,
+    *,
+    method: StripMethod = "tight",
+    plane: tuple[int, int] | None = None,
+) -> Narrowed:
+    """Zonotopes around sets (..., z), (..., z, g) cut by those of C strips that are ``active`` (..., C): outer.
+
+    normals (..., C, n) over the first n <= z coordinates, lower and upper (..., C). There is room for one column more a
+    strip: ``tight`` cuts without one where that is used up. See ``kernels.narrow_one``.
+    """
+    batch = np.broadcast_shapes(
+        center.shape[:-1], generators.shape[:-2], normals.shape[:-2], lower.shape[:-1], upper.shape[:-1],
+        active.shape[:-1],
+    )  # fmt: skip
+    size, room = math.prod(batch), normals.shape[-2]
+    z = generators.shape[-2]
+    first, second = (0, 1) if z == 2 else plane or (-1, -1)
+    center, generators, used, acted = _narrowed_rows(
+        stacked(center, 1, batch, size), stacked(generators, 2, batch, size), stacked(normals, 2, batch, size),
+        stacked(lower, 1, batch, size), stacked(upper, 1, batch, size),
+        np.ascontiguousarray(np.broadcast_to(active, (*batch, room))).reshape(size, room),
+        first, second, method == "frobenius", room, size,
+    )  # fmt: skip
+    return Narrowed(
+        center.reshape(*batch, z), generators.reshape(*batch, z, generators.shape[2]), used.reshape(batch),
+        acted.reshape(*batch, room),
+    )  # fmt: skip
 
 
-def _divided(numerator: Array, denominator: Array) -> Array:
-    """The quotient; 0, which is as good a λ as any, where dividing by 0 or by hardly more gives no number."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        quotient = numerator / denominator
-    return np.where(np.isfinite(quotient), quotient, 0.0)
+@summing
+def _tightened_rows(
+    center: Array, generators: Array, normal: Array, lower: Array, upper: Array, count: int
+) -> tuple[Array, Array, Mask, Mask]:
+    """``tightened`` for P = ``count`` sets, one strip each: middle, radius, cuts, empty (P,).
+
+    Arrays have P or 1 along their first axis: center (n), generators (n, g), normal (1, n), lower and upper.
+    """
+    n, g = generators.shape[1:]
+    middle, radius = np.zeros(count), np.zeros(count)
+    cuts, empty = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    work = np.zeros((WORK, max(n, g)))
+    for p in range(count):
+        middle[p], radius[p], _, cuts[p], empty[p] = tightened(
+            center[p % len(center)], generators[p % len(generators)], g, normal[p % len(normal)], 0,
+            lower[p % len(lower)], upper[p % len(upper)], work,
+        )  # fmt: skip
+    return middle, radius, cuts, empty
+
+
+@summing
+def _narrowed_rows(
+    center: Array, generators: Array, normals: Array, lower: Array, upper: Array, active: Mask,
+    plane0: int, plane1: int, frobenius: bool, room: int, count: int,
+) -> tuple[Array, Array, NDArray[np.int64], Flags]:  # fmt: skip
+    """``narrow_one`` for P = ``count`` sets: center (P, z), generators (P, z, g + room), columns used (P,) and flags
+    (P, C).
+
+    Arrays have P or 1 along their first axis: center (z), generators (z, g), normals (C, n), lower and upper (C);
+    ``active`` (P, C).
+    """
+    z, g = generators.shape[1:]
+    strips, n = normals.shape[1:]
+    centers, columns = np.zeros((count, z)), np.zeros((count, z, g + room))
+    used, acted = np.zeros(count, dtype=np.int64), np.zeros((count, strips), dtype=np.uint8)
+    work = np.zeros((WORK, max(z, g + room)))
+    rows, low, high, on = np.zeros((strips, n)), np.zeros(strips), np.zeros(strips), np.zeros(strips, dtype=np.bool_)
+    for p in range(count):
+        first, second, third = p % len(center), p % len(generators), p % len(normals)
+        for k in range(z):
+            centers[p, k] = center[first, k]
+            for i in range(g):
+                columns[p, k, i] = generators[second, k, i]
+        for c in range(strips):
+            low[c], high[c] = lower[p % len(lower), c], upper[p % len(upper), c]
+            on[c] = active[p, c]
+            for k in range(n):
+                rows[c, k] = normals[third, c, k]
+        used[p], _ = narrow_one(
+            centers[p], columns[p], g, rows, low, high, on, plane0, plane1, frobenius, acted[p], work
+        )  # fmt: skip
+    return centers, columns, used, acted
 
 
 def log_size(generators: Array, plane: tuple[int, int] | None) -> Array:

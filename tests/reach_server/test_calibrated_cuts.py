@@ -22,7 +22,7 @@ def test_calibrated_sets_are_cut_only_where_the_measurement_noise_is_stated(stat
     profile = svea.profile()
     if not stated:
         profile = profile.model_copy(update={"noise": Noise()})
-    engine = Engine(profile, method="calibrated")
+    engine = Engine(profile, method="calibrated", planned=False)
     slot = engine.add("car")
     engine.assign("car", Scenario.load("parking-lot"), START)
     readings = list(islice(iter(SimulatedSource(load_route("parking-lot"), 3)), 1024 + 800))

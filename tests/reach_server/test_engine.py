@@ -77,7 +77,7 @@ def test_every_one_step_prediction_is_audited_and_holds() -> None:
     engine.append(samples_of(drive, 0, NOW))
     for k in range(NOW, NOW + 25):
         assert not engine.step(samples_of(drive, k, k + 1), plan_of([drive], k)).events
-    assert engine.audit_of("car-0") == Audit(24, 24, 0.0)
+    assert engine.audit_of("car-0") == Audit(24, 24, 0.0, 24, 24, 0)
 
 
 @pytest.mark.parametrize("cuts", ["zonotope", "constrained", "frobenius"])
@@ -233,7 +233,7 @@ def test_no_result_holds_nan(method: str, cuts: str) -> None:
         SampleBatch(stands.vehicle, stands.epoch, stands.seq, stands.t, stands.flags, noise, 0 * stands.u),
         SampleBatch(stuck.vehicle, stuck.epoch, stuck.seq, stuck.t, stuck.flags, 0 * stuck.x + 1.0, 0 * stuck.u),
     ])  # fmt: skip
-    engine = engine_of(profile, 3, method=method)
+    engine = engine_of(profile, 3, method=method, planned=False)
     here = drive.truth[NOW, :2]
     engine.assign("car-0", box_scenario(here - 0.3, here + 0.3), START)
     engine.assign("car-1", box_scenario(np.full(2, -0.02), np.full(2, 0.02), "parked"), START)
@@ -247,17 +247,36 @@ def test_no_result_holds_nan(method: str, cuts: str) -> None:
         assert all("rank deficient" in tubes.notes[tubes.vehicles.index(name)] for name in ("car-1", "car-2"))
 
 
-def test_a_vehicle_gets_the_same_tube_alone_and_in_a_crowd() -> None:
-    crowd = engine_of(SMALL, 5)
-    for slot in range(5):
-        crowd.append(samples_of(history(slot), 0, NOW, slot))
-    together = crowd.predict(np.arange(5))
-    for slot in (0, 3):
-        alone = engine_of()
-        alone.append(samples_of(history(slot), 0, NOW))
-        tubes = alone.predict(np.array([0]))
-        np.testing.assert_allclose(tubes.area[0], together.area[slot], rtol=1e-6)
-        np.testing.assert_allclose(tubes.hull[0], together.hull[slot], rtol=1e-6, atol=1e-9)
+@pytest.mark.parametrize("cuts", ["zonotope", "frobenius"])
+@pytest.mark.parametrize("method", ["calibrated", "set_membership", "residual_hull", "paper"])
+def test_equal_data_gives_equal_sets_whatever_else_is_in_the_batch(method: str, cuts: str) -> None:
+    """To the last bit: among others, in another order, with another slot, in other portions."""
+    profile = SMALL.model_copy(update={"cuts": cuts, "confidence": 0.9, "window": 250})
+    drives = [history(seed) for seed in (0, 1, 0, 2)]
+    here = drives[0].truth[NOW : NOW + 40, :2]
+    boxes = box_scenario(here.min(axis=0) - 0.02, here.max(axis=0) + 0.02)
+    alone, crowd = engine_of(profile, method=method), engine_of(profile, 4, method=method)
+    alone.append(samples_of(drives[0], 0, NOW))
+    for first in range(0, NOW, 60):
+        last = min(first + 60, NOW)
+        crowd.append(SampleBatch.join([samples_of(drives[i], first, last, i) for i in (3, 2, 1, 0)]))
+    for slot in (0, 2):
+        crowd.assign(f"car-{slot}", boxes, START + NOW * SVEA.dt_ns)
+    crowd.assign("car-3", box_scenario(np.full(2, -99.0), np.full(2, 99.0), "other"), START)
+    alone.assign("car-0", boxes, START + NOW * SVEA.dt_ns)
+    cut = 0
+    for k in range(NOW, NOW + 25):
+        one = alone.step(samples_of(drives[0], k, k + 1), plan_of([drives[0]], k))
+        together = SampleBatch.join([samples_of(drives[i], k, k + 1, i) for i in (2, 0, 3, 1)])
+        tubes = crowd.step(together, plan_of(drives, k))
+        for row in (tubes.vehicles.index("car-0"), tubes.vehicles.index("car-2")):
+            for name in ("area", "area_free", "outline", "hull"):
+                np.testing.assert_array_equal(getattr(tubes, name)[row], getattr(one, name)[0])
+            for mine, theirs in zip(one.steps, tubes.steps, strict=True):
+                np.testing.assert_array_equal(mine.center[0], theirs.center[row])
+            assert (tubes.cuts[row], tubes.labels[row]) == (one.cuts[0], one.labels[0])
+        cut += bool(one.cuts[0])
+    assert cut
 
 
 def test_a_sample_that_comes_twice_counts_once() -> None:
@@ -268,9 +287,9 @@ def test_a_sample_that_comes_twice_counts_once() -> None:
     one = samples_of(drive, NOW + 1, NOW + 2)
     tubes = engine.step(SampleBatch.join([one, one]), plan_of([drive], NOW + 1))
     assert tubes.vehicles == ("car-0",)
-    assert engine.audit_of("car-0") == Audit(1, 1, 0.0)
+    assert engine.audit_of("car-0") == Audit(1, 1, 0.0, 1, 1, 0)
     engine.append(one)
-    assert engine.audit_of("car-0") == Audit(1, 1, 0.0)
+    assert engine.audit_of("car-0") == Audit(1, 1, 0.0, 1, 1, 0)
 
 
 @pytest.mark.parametrize("change", ["gap", "epoch", "trajectory", "late"])
@@ -308,7 +327,7 @@ def test_calibrated_tubes_wait_for_their_lagged_increments() -> None:
     spec = SMALL.model_dump(by_alias=True, exclude_none=True)
     spec |= {"input_lags": 0, "confidence": 0.9, "horizon": 2}
     del spec["lipschitz"]
-    engine = engine_of(parse_profile(spec), method="calibrated")
+    engine = engine_of(parse_profile(spec), method="calibrated", planned=False)
     drive = history(2)
     engine.append(samples_of(drive, 0, NOW))
     moved = samples_of(drive, NOW, NOW + 3)
@@ -328,7 +347,7 @@ def test_calibrated_tubes_wait_for_their_lagged_increments() -> None:
 def test_calibrated_tubes_hold_most_measured_states() -> None:
     profile = SMALL.model_copy(update={"confidence": 0.9, "window": 250, "horizon": 3})
     drives = [history(seed) for seed in range(12)]
-    engine = engine_of(profile, 12, method="calibrated")
+    engine = engine_of(profile, 12, method="calibrated", planned=False)
     engine.append(SampleBatch.join([samples_of(d, 0, NOW, slot) for slot, d in enumerate(drives)]))
     for k in range(NOW, NOW + 80):
         tubes = engine.step(SampleBatch.join([samples_of(d, k, k + 1, slot) for slot, d in enumerate(drives)]))
@@ -348,7 +367,7 @@ def test_cuts_of_calibrated_sets_leave_room_for_the_measurement_noise() -> None:
     low, high = there - 0.4, there + 1e-3
     last = f"{10 * SVEA.dt}:{10 * SVEA.dt} s"
     for method, room in (("calibrated", noise_half), ("set_membership", np.zeros(2))):
-        engine = engine_of(SMALL.model_copy(update={"confidence": 0.9}), method=method)
+        engine = engine_of(SMALL.model_copy(update={"confidence": 0.9}), method=method, planned=False)
         engine.append(samples_of(drive, 0, NOW))
         engine.assign("car-0", box_scenario(low, high, window=last), START + NOW * SVEA.dt_ns)
         tubes = engine.step(samples_of(drive, NOW, NOW + 1))
@@ -371,7 +390,7 @@ def test_labels_say_what_the_bounds_allow() -> None:
         engine = engine_of(parse_profile(fields_of), method=method)
         tubes = engine.step(samples_of(drive, 0, NOW))
         assert tubes.labels == (label,)
-    assert engine_of(parse_profile(fitted)).method == "calibrated"
+    assert engine_of(parse_profile(fitted | {"window": 1000})).method == "calibrated"
 
 
 def test_unknown_methods_are_refused() -> None:
@@ -412,3 +431,57 @@ def test_a_document_that_mends_another_is_not_blamed_for_it() -> None:
     engine.step(samples_of(drive, NOW, NOW + 1), plan_of([drive], NOW))
     engine.assign("car-0", box_scenario(there - 99, there + 99), START + NOW * SVEA.dt_ns)
     assert not engine.step(samples_of(drive, NOW + 1, NOW + 2), plan_of([drive], NOW + 1)).events
+
+
+def test_filtering_leaves_true_states_inside_and_sets_no_larger() -> None:
+    drive = history(2)
+    # Measured far less exactly than is assumed of the dynamics.
+    noise = {"process": {"box": [1e-3] * 4, "origin": "given"}, "measurement": {"box": [0.2] * 4, "origin": "given"}}
+    spec = PROFILE.model_dump(by_alias=True, exclude_none=True) | {"window": 150, "noise": noise}
+    areas: list[list[float]] = [[], []]
+    for filtered in (False, True):
+        engine = engine_of(parse_profile(spec | {"filtered": filtered}))
+        engine.append(samples_of(drive, 0, NOW))
+        for k in range(NOW, NOW + 25):
+            tubes = engine.step(samples_of(drive, k, k + 1), plan_of([drive], k))
+            assert not tubes.events
+            assert_holds(tubes, 0, drive.truth[k + 1 : k + 11])
+            areas[filtered].append(float(tubes.area[0, 0]))
+    # The first tube has no prediction before it.
+    assert areas[0][0] == areas[1][0]
+    assert np.mean(areas[1]) <= np.mean(areas[0])
+
+
+def test_without_a_model_limits_alone_say_where_a_vehicle_can_be() -> None:
+    drive = history(3)
+    spec = PROFILE.model_dump(by_alias=True, exclude_none=True) | {"window": 150}
+    spec["state"]["yaw"] |= {"rate": 8.0}
+    spec["state"]["v"] |= {"limits": [-2.0, 2.0], "rate": 20.0}
+    engine = engine_of(parse_profile(spec))
+    few, many = samples_of(drive, 0, 6), samples_of(drive, 0, NOW, 1)
+    engine.add("car-1")
+    engine.append(many)
+    tubes = engine.step(SampleBatch.join([few, samples_of(drive, NOW, NOW + 1, 1)]))
+    by_name = dict(zip(tubes.vehicles, range(2), strict=True))
+    row = by_name["car-0"]
+    assert (tubes.methods[row], tubes.labels[row]) == ("limits", Label.GUARANTEED)
+    assert (tubes.methods[by_name["car-1"]], tubes.labels[by_name["car-1"]]) == ("set_membership", Label.GUARANTEED)
+    assert tubes.notes[row] == ("from limits alone, too few samples for set_membership: at least 13 more",)
+    assert not tubes.waiting
+    assert_holds(tubes, row, drive.truth[6:16])
+    alone = engine_of(parse_profile(spec)).step(few)
+    np.testing.assert_array_equal(alone.area[0], tubes.area[row])
+    nothing = engine_of(SMALL).step(few)
+    assert nothing.waiting == {"car-0": "too few samples for set_membership: at least 13 more"}
+
+
+def test_frozen_engines_learn_nothing_more() -> None:
+    drive = history(1)
+    engine, frozen = engine_of(), engine_of()
+    for one in (engine, frozen):
+        one.append(samples_of(drive, 0, 200))
+    frozen.frozen = True
+    for k in range(200, 330):
+        tubes, other = (e.step(samples_of(drive, k, k + 1), plan_of([drive], k)) for e in (engine, frozen))
+        assert_holds(other, 0, drive.truth[k + 1 : k + 11])
+    assert (tubes.area != other.area).any()

@@ -174,7 +174,7 @@ def test_the_position_error_holds_where_it_is_tight(turn: float, heading: float)
     measured = np.stack([c * moved[:, 0] + s * moved[:, 1], -s * moved[:, 0] + c * moved[:, 1]], axis=1)
     target = np.column_stack([measured, np.zeros((count, 2))])
     bounds = NoiseBounds(np.zeros((4, 0)), np.diag([spread, spread, heading, 0.0]))
-    half = np.abs(position_error(data_of(np.zeros((count, 7)), target), LAYOUT, bounds)[0]).sum(axis=1)[:2]
+    half = position_error(np.abs(target).max(axis=0)[None], LAYOUT, bounds)[0]
     assert (np.abs(measured - true) <= half).all()
     assert (half <= 1.5 * np.abs(measured - true).max(axis=0) + heading**2 + 4 * spread).all()
 
@@ -195,6 +195,7 @@ def test_the_worst_function_that_agrees_with_a_datum_is_held(seed: int, membersh
     model = fit(data_of(datum[None], np.zeros((1, 2))), layout, bounds, Lipschitz(matrix=L.tolist(), of="residual"))
     # The true place of the datum is as far from the point asked for as its error allows, e there as far off.
     place = datum - measurement.sum(axis=1) * np.where(center > datum, 1.0, -1.0)
+    assert model.held.tolist() == [1]
     start = model.residual[0, :, 0] + sign * np.abs(model.noise[0]).sum(axis=1)
     value = start + sign * (L * np.abs(far - place)).sum(axis=1)
     found = residual_set(model, center[None], half[None], membership=membership)
@@ -263,6 +264,7 @@ def test_places_without_a_datum_do_not_count() -> None:
         strict=True,
     ):
         np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-12)
+        assert (one.held == data.usable.sum(axis=1)).all()
         a, b = (residual_set(m, np.zeros((1, 7)), np.full((1, 7), 0.1), membership=True) for m in (one, other))
         np.testing.assert_allclose(a.generators, b.generators, atol=1e-12)
 

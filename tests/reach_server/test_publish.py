@@ -54,11 +54,11 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
     times = np.array([[2], [2]], dtype=np.int64)
     tubes = Tubes(
         ("a", "b"), ids, ids, np.array([1, 1]), times, (sets,), (sets,), figure.area[:, None], figure.area[:, None],
-        figure.outline()[:, None], figure.hull[:, None], (Label.GUARANTEED,) * 2, "set_membership", ((), ()), ((), ()),
-        ({}, {"s.stays": "satisfied"}), (), {},
+        figure.outline()[:, None], figure.hull[:, None], (Label.GUARANTEED,) * 2, ("set_membership",) * 2,
+        ((), ()), ((), ()), ({}, {"s.stays": "satisfied"}), (), {},
     )  # fmt: skip
     sent = list(
-        messages(tubes, ("x", "y", "z"), PLANE, [Audit(), Audit(3, 2, 0.5)], server="s", server_epoch=1,
+        messages(tubes, ("x", "y", "z"), PLANE, [Audit(), Audit(3, 2, 0.5, 3, 2, 1)], server="s", server_epoch=1,
                  compute_seconds=0.0)
     )  # fmt: skip
     assert [m.vehicle for m in sent] == ["a", "b"]
@@ -73,4 +73,4 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
         assert (points <= came.hull[0, 1]).all()
         assert (np.abs(d @ came.generators[0]).sum(axis=1) >= (points @ d.T).max(axis=0)).all()
     assert sent[1].verdicts == {"s.stays": "satisfied"}
-    assert sent[1].audit == Audit(3, 2, 0.5)
+    assert sent[1].audit == Audit(3, 2, 0.5, 3, 2, 1)

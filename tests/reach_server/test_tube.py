@@ -11,11 +11,12 @@ from reach_server.cuts import CutMethod, CutSets, cut_sets
 from reach_server.factor_sets import FactorSet
 from reach_server.model import Model, NoiseBounds, fit
 from reach_server.predicates import Context, Literals
-from reach_server.recursion import InputSets, Recursion, _turn
+from reach_server.recursion import InputSets, Recursion
 from reach_server.regression import Layout, Transitions, transitions
 from reach_server.rows import take
 from reach_server.sets import support
 from reach_server.tube import Branches, Knowledge, Tracks, Tube, propagate
+from reach_server.turning import turn_one
 from side_info import DiscPredicate, LinearPredicate, Scenario
 from side_info.progression import TRUE, Grid, Table
 from tests.reach_server.drives import (
@@ -163,7 +164,7 @@ def test_world_trajectories_stay_inside(seed: int, membership: bool) -> None:
 
 
 def svea_tube(
-    seed: int, heading: float, wide: bool, membership: bool, kept_generators: int = 32
+    seed: int, heading: float, wide: bool, membership: bool, order: int = 5
 ) -> tuple[Tube, Floats, np.random.Generator]:
     rng = np.random.default_rng(seed)
     measurement = np.diag([0.01, 0.02, heading, 0.05])
@@ -174,7 +175,7 @@ def svea_tube(
     center = rng.uniform(-1, 1, (HORIZON, 2)) * (limit - half)
     motion = Recursion(
         InputSets(past[None], center[None], half[None]), svea_model(seed), np.diag(SVEA.process_noise), LAYOUT,
-        membership, kept_generators,
+        membership, order,
     )  # fmt: skip
     tube = tube_of(FactorSet.zonotope(y[None], measurement[None]), motion)
     truth = svea_truth(rng, y - noise(rng, measurement, COUNT), spread(rng, center, half, COUNT), past)
@@ -203,7 +204,7 @@ def test_a_linear_system_without_noise_gets_its_reachable_set_and_nothing_else()
     model = fit(data, layout, NoiseBounds(nothing, nothing), None)
     start = FactorSet.zonotope(np.array([[1.0, 2.0]]), 0.3 * rng.normal(size=(1, 2, 3)))
     past, center, half = rng.normal(size=(1, 2, 2)), rng.normal(size=(1, 6, 2)), rng.uniform(0, 1, (1, 6, 2))
-    motion = Recursion(InputSets(past, center, half), model, nothing, layout, kept_generators=200)
+    motion = Recursion(InputSets(past, center, half), model, nothing, layout, order=50)
     tube = tube_of(start, motion)
     d = rng.normal(size=(30, 2))
     middle, G = start.center[0], start.generators[0]
@@ -237,7 +238,7 @@ def test_a_car_without_noise_gets_little_more_than_it_reaches() -> None:
     start_half = np.diag([0.0, 0.0, 0.02, 0.05])
     past, center, half = np.zeros((2, 2)), np.tile([0.1, 1.0], (6, 1)), np.tile([0.03, 0.2], (6, 1))
     inputs = InputSets(past[None], center[None], half[None])
-    motion = Recursion(inputs, model, nothing, LAYOUT, kept_generators=200)
+    motion = Recursion(inputs, model, nothing, LAYOUT, order=50)
     tube = tube_of(FactorSet.zonotope(y[None], start_half[None]), motion)
     count = 40_000
     u = spread(rng, center, half, count)
@@ -256,7 +257,7 @@ def test_a_car_without_noise_gets_little_more_than_it_reaches() -> None:
 
 def test_few_generators_cost_size_and_no_trajectory() -> None:
     tight, truth, rng = svea_tube(1, 0.1, wide=True, membership=True)
-    coarse, _, _ = svea_tube(1, 0.1, wide=True, membership=True, kept_generators=0)
+    coarse, _, _ = svea_tube(1, 0.1, wide=True, membership=True, order=1)
     assert_all_inside(coarse, truth, rng)
     assert max(s.sets.generators.shape[2] for s in coarse.steps) <= 8
     size = [np.abs(t.steps[-1].sets.generators).sum() for t in (tight, coarse)]
@@ -269,6 +270,16 @@ def test_tubes_are_not_absurdly_wide() -> None:
     reached = np.ptp(truth[:, 1], axis=0)
     width = 2 * np.abs(only(tube.steps[1]).generators[0]).sum(axis=1)
     assert (width < 15 * reached).all()
+
+
+def turned(center: Floats, generators: Floats, step: Floats, steps: Floats) -> tuple[Floats, Floats]:
+    """State plus turned increment over the same factors, of one vehicle."""
+    shift, moved, rest = step[0].copy(), steps[0].copy(), np.empty(4)
+    used = moved.shape[1]
+    turn_one(center[0], generators[0], used, shift, moved, used, (0, 1, 2), rest)
+    columns = np.zeros((len(shift), 2))
+    columns[0], columns[1] = rest[::2], rest[1::2]
+    return (center[0] + shift)[None], np.concatenate([generators[0] + moved, columns], axis=1)[None]
 
 
 @moderate
@@ -284,7 +295,7 @@ def test_turned_increments_are_enclosed(seed: int, rho: float, size: float) -> N
     center, generators = rng.normal(size=(1, 4)), rng.normal(size=(1, 4, g))
     generators[:, 2] *= rho / np.abs(generators[:, 2]).sum()
     step_center, steps = rng.normal(size=(1, 4)), size * rng.normal(size=(1, 4, g))
-    new_center, new = _turn(center, generators, step_center, steps, (0, 1, 2))
+    new_center, new = turned(center, generators, step_center, steps)
     xi = rng.uniform(-1, 1, (4000, g))
     xi[:1500] = np.sign(xi[:1500])
     xi[1500:2500] = np.where(rng.random((1000, g)) < 0.7, np.sign(xi[1500:2500]), xi[1500:2500])
@@ -301,7 +312,7 @@ def test_a_turn_keeps_the_correlation_of_heading_and_position() -> None:
     """A car that drives a metre with a heading known to ±0.1 ends on an arc, not in a box."""
     generators = np.zeros((1, 3, 1))
     generators[0, 2, 0] = 0.1
-    center, new = _turn(np.zeros((1, 3)), generators, np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3, 1)), (0, 1, 2))
+    center, new = turned(np.zeros((1, 3)), generators, np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3, 1)))
     across = new[0, 1]
     assert across[0] == pytest.approx(0.1)
     assert np.abs(across[1:]).sum() < 1e-3

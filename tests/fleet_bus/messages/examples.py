@@ -69,6 +69,7 @@ def tubes(draw: st.DrawFn) -> ReachTube:
     single = st.floats(allow_nan=False, allow_infinity=False, width=32)
     texts = st.text(max_size=20)
     checked = draw(st.integers(0, 2**40))
+    recent = draw(st.integers(0, min(checked, 1000)))
     index = st.integers(0, n - 1)
     return ReachTube(
         draw(ids),
@@ -89,7 +90,14 @@ def tubes(draw: st.DrawFn) -> ReachTube:
         tuple(draw(st.lists(st.builds(Cut, texts, texts, st.integers(1, h), st.integers(1, h)), max_size=3))),
         tuple(draw(st.lists(texts, max_size=3))),
         draw(st.dictionaries(texts, texts, max_size=3)),
-        Audit(checked, draw(st.integers(0, checked)), draw(halves)),
+        Audit(
+            checked,
+            draw(st.integers(0, checked)),
+            draw(halves),
+            recent,
+            draw(st.integers(0, recent)),
+            draw(st.integers(0, recent)),
+        ),
         draw(texts),
         draw(unsigned),
         draw(halves),
@@ -121,7 +129,7 @@ def a_tube(**changes: Any) -> ReachTube:
         "area_free": np.full(h, 2.0),
         "cuts": (Cut("parking-lot", "P.x1", 1, 3),),
         "notes": ("rank deficient",),
-        "audit": Audit(10, 9, 0.25),
+        "audit": Audit(10, 9, 0.25, 10, 9, 3),
         "server": "reach-1",
         "server_epoch": T0,
         "compute_seconds": 0.01,

@@ -101,12 +101,17 @@ def bins(count: int, value: float = 0.0, dtype: str = "<f8") -> bytes:
         ({"vd": {"safe": 1}}, "fields"),
         ({"vd": {b"safe": "yes"}}, "fields"),
         ({"au": [1, 1]}, "fields"),
-        ({"au": [INF, 1, 0.0]}, "fields"),
-        ({"au": [1, 1, "0"]}, "fields"),
-        ({"au": [1, 2, 0.0]}, "range"),
-        ({"au": [-1, -1, 0.0]}, "range"),
-        ({"au": [1, 1, -1.0]}, "range"),
-        ({"au": [1, 1, NAN]}, "not_finite"),
+        ({"au": [1, 1, 0.0]}, "fields"),
+        ({"au": [INF, 1, 0.0, 0, 0, 0]}, "fields"),
+        ({"au": [1, 1, "0", 0, 0, 0]}, "fields"),
+        ({"au": [1, 1, 0.0, 1, 1, 0.5]}, "fields"),
+        ({"au": [1, 2, 0.0, 0, 0, 0]}, "range"),
+        ({"au": [-1, -1, 0.0, 0, 0, 0]}, "range"),
+        ({"au": [1, 1, -1.0, 0, 0, 0]}, "range"),
+        ({"au": [1, 1, 0.0, 2, 1, 0]}, "range"),
+        ({"au": [3, 3, 0.0, 2, 3, 0]}, "range"),
+        ({"au": [3, 3, 0.0, 2, 2, -1]}, "range"),
+        ({"au": [1, 1, NAN, 0, 0, 0]}, "not_finite"),
         ({"sv": None}, "fields"),
         ({"se": -1}, "range"),
         ({"ct": -0.1}, "range"),
@@ -120,8 +125,8 @@ def test_each_refusal_has_its_reason(changes: dict[str, Any], reason: str) -> No
 
 
 def test_an_integer_may_stand_for_a_duration() -> None:
-    found = ReachTube.decode(wire(ct=0, au=[2, 1, 0]))
-    assert (found.compute_seconds, found.audit) == (0.0, Audit(2, 1, 0.0))
+    found = ReachTube.decode(wire(ct=0, au=[2, 1, 0, 2, 1, 0]))
+    assert (found.compute_seconds, found.audit) == (0.0, Audit(2, 1, 0.0, 2, 1))
 
 
 def test_labels_are_the_four_that_are_documented() -> None:

@@ -1,0 +1,211 @@
+"""Compiled: the model of a vehicle, from all data of its window or carried on by the data that enter and leave."""
+
+import math
+
+import numpy as np
+
+from reach_server.calibrated.features import increment, recorded, targets, usable
+from reach_server.calibrated.forecasts import error_in_frame, roll_out
+from reach_server.calibrated.ridge import BELIEVED, add, factor, first_columns, increments_of, solve, standardise
+from reach_server.calibrated.scores import Codes, encoded
+from reach_server.calibrated.store import Model, Record
+from reach_server.calibrated.terms import Samples, Terms
+from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.compiled import compiled
+from reach_server.windows import Ints
+
+#: Contiguous parts of the data, each predicted by the model of the others: neighbours in time are alike.
+FOLDS = 5
+#: Ridges to choose from, ascending.
+RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+#: The greatest ridge is taken whose out-of-fold errors exceed the least by no more than this part: it relies least on
+#: directions in which the data say little [BFOS84, section 3.4.3].
+AS_GOOD = 0.05
+#: Units of features are at least this part of 1 + |mean|: what does not vary would have none.
+LEAST_UNIT = 1e-6
+#: Places of the ring that data leave unused, so that those that leave can still be computed.
+SPARE = 24
+
+
+@compiled
+def reach_back(count: int, places: int, terms: Terms) -> int:
+    """Number of the oldest sample that may be a datum, when ``count`` samples have come to a ring of ``places``."""
+    return int(max(0, count - places + terms.reach + SPARE))
+
+
+@compiled
+def usable_numbers(samples: Samples, count: int, slot: int, terms: Terms, out: Ints) -> int:
+    """Numbers ``out`` (S,) of the samples of a vehicle that are data; how many."""
+    run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
+    found = 0
+    for number in range(reach_back(count, len(run), terms), count - terms.horizon):
+        if usable(run, known, gated, number, terms):
+            out[found] = number
+            found += 1
+    return found
+
+
+@compiled
+def count_usable(samples: Samples, count: Ints, slots: Ints, terms: Terms, out: Ints) -> None:
+    """How many data vehicles (B,) have."""
+    numbers = np.empty(samples.t.shape[1], dtype=np.int64)
+    for b in range(len(slots)):
+        out[b] = usable_numbers(samples, count[slots[b]], slots[b], terms, numbers)
+
+
+@compiled
+def carry_on(samples: Samples, count: Ints, slots: Ints, model: Model, terms: Terms) -> None:
+    """Let data enter and leave the sums of vehicles (B,), and solve anew. What leaves must still be in the window, with
+    all that its features look back to."""
+    lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
+    z, y = np.empty(terms.total), np.empty(terms.horizon * terms.n)
+    for slot in slots:
+        t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
+        run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
+        mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
+        begin, end = reach_back(count[slot], len(t), terms), count[slot] - terms.horizon
+        first, last, previous = model.oldest[slot], model.newest[slot], -2
+        for k in range(max(end - last, 0) + max(begin - first, 0)):
+            enters = k < end - last
+            number = last + k if enters else first + k - max(end - last, 0)
+            if not usable(run, known, gated, number, terms):
+                continue
+            recorded(t, x, u, number, terms, z)
+            if enters:
+                _believe(z, mean, scale, limit)
+            standardise(z, mean, scale, limit, z)
+            if number == previous + 1:
+                # All but the last increment are those of the datum before.
+                y[: -terms.n] = y[terms.n :]
+                increment(t, x, (number + terms.horizon - 1) % len(t), terms, y, len(y) - terms.n)
+            else:
+                targets(t, x, number, terms, y)
+            previous = number
+            add(z, y, 1.0 if enters else -1.0, model.gram[slot], model.cross[slot])
+            model.data[slot] += 1 if enters else -1
+        model.newest[slot], model.oldest[slot] = max(end, last), max(begin, first)
+        _solve(model, slot, begins, lower)
+
+
+@compiled
+def _believe(phi: Array, mean: Array, scale: Array, limit: Array) -> None:
+    """Widen the limits (F,) of features by a datum: so no datum is ever cut off, neither when it enters nor when it
+    leaves."""
+    for j in range(len(phi)):
+        limit[j] = max(limit[j], BELIEVED * abs(phi[j] - mean[j]) / scale[j])
+
+
+@compiled
+def _solve(model: Model, slot: int, begins: Ints, lower: Array) -> None:
+    factor(model.gram[slot], model.ridge[slot], lower)
+    solve(lower, model.cross[slot], begins, model.matrix[slot])
+
+
+@compiled
+def fit(samples: Samples, count: Ints, slots: Ints, fill: Mask, model: Model, record: Record, terms: Terms) -> None:
+    """Models of vehicles (B,) from all data of their windows. Where ``fill`` (B,) says so the ridge is chosen by
+    out-of-fold errors, and these enter the record of errors where nothing better is known."""
+    places = samples.t.shape[1]
+    numbers = np.empty(places, dtype=np.int64)
+    phi, targeted = np.empty((places, terms.total)), np.empty((places, terms.horizon * terms.n))
+    lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
+    for b in range(len(slots)):
+        slot = slots[b]
+        t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
+        rows = usable_numbers(samples, count[slot], slot, terms, numbers)
+        z, y = phi[:rows], targeted[:rows]
+        for k in range(rows):
+            recorded(t, x, u, numbers[k], terms, z[k])
+            targets(t, x, numbers[k], terms, y[k])
+        mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
+        _units_of(z, mean, scale, limit)
+        model.gram[slot], model.cross[slot] = 0.0, 0.0
+        for k in range(rows):
+            standardise(z[k], mean, scale, limit, z[k])
+            add(z[k], y[k], 1.0, model.gram[slot], model.cross[slot])
+        model.data[slot] = rows
+        model.oldest[slot], model.newest[slot] = reach_back(count[slot], places, terms), count[slot] - terms.horizon
+        if fill[b]:
+            errors = _out_of_fold(x, numbers[:rows], z, y, model.gram[slot], model.cross[slot], terms)
+            choice = _best(errors)
+            model.ridge[slot] = RIDGES[choice]
+            _complete(record.codes[slot], numbers[:rows], errors[choice], terms)
+        _solve(model, slot, begins, lower)
+
+
+@compiled
+def _units_of(phi: Array, mean: Array, scale: Array, limit: Array) -> None:
+    """Mean, unit and limit (F,) of features (rows, F). The unit is the spread, at least half the one before (``scale``,
+    0 where there was none): what has varied may do so again. The first feature, the constant, stays as it is."""
+    rows = len(phi)
+    mean[0], scale[0], limit[0] = 0.0, 1.0, 1.0
+    for j in range(1, phi.shape[1]):
+        total = square = far = 0.0
+        for k in range(rows):
+            total += phi[k, j]
+        mean[j] = total / rows
+        for k in range(rows):
+            deviation = phi[k, j] - mean[j]
+            square += deviation * deviation
+            far = max(far, abs(deviation))
+        scale[j] = max(math.sqrt(square / rows), 0.5 * scale[j], LEAST_UNIT * (1.0 + abs(mean[j])))
+        limit[j] = BELIEVED * far / scale[j]
+
+
+@compiled
+def _out_of_fold(x: Array, numbers: Ints, z: Array, y: Array, whole: Array, right: Array, terms: Terms) -> Array:
+    """Errors (choices, rows, N n) of every datum by the model of the other folds, for every ridge; ``whole`` and
+    ``right`` are the sums over all data."""
+    rows, columns = y.shape
+    errors = np.empty((len(RIDGES), rows, columns))
+    lower, matrix, begins = np.empty_like(whole), np.empty_like(right), first_columns(terms)
+    d, center, error = np.empty(columns), np.empty((terms.horizon, terms.n)), np.empty(terms.n)
+    for fold in range(FOLDS):
+        begin, end = fold * rows // FOLDS, (fold + 1) * rows // FOLDS
+        gram, cross = whole.copy(), right.copy()
+        for k in range(begin, end):
+            add(z[k], y[k], -1.0, gram, cross)
+        for choice in range(len(RIDGES)):
+            factor(gram, RIDGES[choice], lower)
+            solve(lower, cross, begins, matrix)
+            for k in range(begin, end):
+                number = numbers[k]
+                here = number % len(x)
+                increments_of(z[k], matrix, begins, d)
+                roll_out(x[here], d, terms, center)
+                angle = x[here, terms.heading] if terms.heading >= 0 else 0.0
+                c, s = math.cos(angle), math.sin(angle)
+                for h in range(terms.horizon):
+                    error_in_frame(x, (number + h + 1) % len(x), center, h, c, s, terms, error)
+                    for i in range(terms.n):
+                        errors[choice, k, h * terms.n + i] = error[i]
+    return errors
+
+
+@compiled
+def _complete(codes: Codes, numbers: Ints, errors: Array, terms: Terms) -> None:
+    """Put errors (rows, N n) on record where none is known."""
+    for k in range(len(numbers)):
+        for h in range(terms.horizon):
+            place = (numbers[k] + h + 1) % len(codes)
+            if codes[place, h, 0] == 0:
+                for i in range(terms.n):
+                    codes[place, h, i] = encoded(abs(errors[k, h * terms.n + i]))
+
+
+@compiled
+def _best(errors: Array) -> int:
+    """Which ridge (choices, rows, columns) is taken, by the geometric mean over columns of the mean error."""
+    choices, rows, columns = errors.shape
+    mean = np.zeros(choices)
+    for choice in range(choices):
+        for c in range(columns):
+            total = 0.0
+            for k in range(rows):
+                total += abs(errors[choice, k, c])
+            mean[choice] += math.log(max(total / rows, 1e-300)) / columns
+    chosen = 0
+    for choice in range(choices):
+        if mean[choice] <= mean.min() + math.log1p(AS_GOOD):
+            chosen = choice
+    return chosen

@@ -1,0 +1,204 @@
+"""Compiled: predictions from the newest samples, and what later samples say about them."""
+
+import math
+
+import numpy as np
+
+from reach_server.calibrated.features import ahead, clean, complete, present, range_regressors, size_regressors, turned
+from reach_server.calibrated.ridge import first_columns, increments_of, standardise
+from reach_server.calibrated.scores import Codes, Scores, encoded, renew_margins, score_of, tube_score, write
+from reach_server.calibrated.store import Model, Record, Waiting
+from reach_server.calibrated.terms import Samples, Terms
+from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.compiled import compiled
+from reach_server.windows import Ints
+
+#: An error this many times beyond its box, followed by a miss the opposite way, comes from the sample between them.
+GLITCH = 4.0
+
+
+@compiled
+def roll_out(x: Array, d: Array, terms: Terms, center: Array) -> None:
+    """Predicted states ``center`` (N, n) from state ``x`` (n) and increments ``d`` (N n,), each in the frame that the
+    ones before lead to."""
+    n = terms.n
+    for h in range(terms.horizon):
+        before = x if h == 0 else center[h - 1]
+        for i in range(n):
+            center[h, i] = before[i] + d[h * n + i]
+        if terms.heading >= 0:
+            c, s = math.cos(before[terms.heading]), math.sin(before[terms.heading])
+            first, second = d[h * n + terms.first], d[h * n + terms.second]
+            center[h, terms.first] = before[terms.first] + c * first - s * second
+            center[h, terms.second] = before[terms.second] + s * first + c * second
+
+
+@compiled
+def error_in_frame(
+    x: Array, place: int, center: Array, h: int, cosine: float, sine: float, terms: Terms, error: Array
+) -> None:
+    """Measured state at a place minus predicted state (N, n) of step ``h``, ``error`` (n): angles by the shorter way,
+    positions in the frame whose heading has this cosine and sine."""
+    for i in range(terms.n):
+        error[i] = x[place, i] - center[h, i]
+        if terms.angles >> i & 1:
+            error[i] = turned(error[i])
+    if terms.heading >= 0:
+        first, second = error[terms.first], error[terms.second]
+        error[terms.first] = cosine * first + sine * second
+        error[terms.second] = cosine * second - sine * first
+
+
+@compiled
+def sizes_at(phi: Array, shape: Array, clip: Array, terms: Terms, psi: Array, size: Array) -> None:
+    """Sizes ``a_ih = sqrt(B_ih ψ_h)`` of errors, ``size`` (N, n); the regressors ψ at most ``clip``."""
+    for h in range(terms.horizon):
+        if h == 0:
+            size_regressors(phi, h, terms, psi)
+        elif terms.planned:
+            range_regressors(phi, h, terms, psi)
+        for i in range(terms.n):
+            size[h, i] = 0.0
+        for q in range(terms.sizes):
+            value = min(psi[q], clip[h, q])
+            for i in range(terms.n):
+                size[h, i] += value * shape[h, q, i]
+        for i in range(terms.n):
+            size[h, i] = math.sqrt(size[h, i])
+
+
+@compiled
+def known_now(samples: Samples, count: Ints, slots: Ints, terms: Terms, out: Mask) -> None:
+    """Which vehicles (B,) have all that the features of their newest sample look back to."""
+    for b in range(len(slots)):
+        slot = slots[b]
+        out[b] = count[slot] > 0 and complete(samples.run[slot], samples.known[slot], count[slot] - 1, terms)
+
+
+@compiled
+def forecast(
+    samples: Samples, count: Ints, slots: Ints, plan: Array, model: Model, record: Record, waiting: Waiting,
+    terms: Terms, remember: bool, center: Array, half: Array, generators: Array,
+) -> None:  # fmt: skip
+    """Boxes of vehicles (B,): ``center`` (B, N, n), ``half`` (B, N, n) along the frame of the newest sample, and
+    ``generators`` (B, N, n, n), zero before."""
+    phi, z = np.empty(terms.total), np.empty(terms.total)
+    d, psi, begin = np.empty(terms.horizon * terms.n), np.empty(terms.sizes), first_columns(terms)
+    for b in range(len(slots)):
+        slot = slots[b]
+        number, x = count[slot] - 1, samples.x[slot]
+        here = number % len(x)
+        present(samples.t[slot], x, samples.u[slot], number, terms, phi)
+        if terms.planned:
+            ahead(x, number, plan[b], terms, phi)
+        standardise(phi, model.mean[slot], model.scale[slot], model.limit[slot], z)
+        increments_of(z, model.matrix[slot], begin, d)
+        roll_out(x[here], d, terms, center[b])
+        sizes_at(phi, record.shape[slot], record.clip[slot], terms, psi, half[b])
+        angle = x[here, terms.heading] if terms.heading >= 0 else 0.0
+        if remember:
+            row = number % terms.horizon
+            waiting.number[slot, row] = number
+            waiting.angle[slot, row] = angle
+            waiting.center[slot, row] = center[b]
+            waiting.size[slot, row] = half[b]
+        _enlarge(record.margin[slot], angle, terms, half[b], generators[b])
+
+
+@compiled
+def _enlarge(margin: Array, angle: float, terms: Terms, half: Array, generators: Array) -> None:
+    """Scale sizes ``half`` (N, n) by the margins, and turn the boxes to the world, ``generators`` (N, n, n)."""
+    c, s = math.cos(angle), math.sin(angle)
+    for h in range(terms.horizon):
+        for i in range(terms.n):
+            half[h, i] *= margin[h]
+            generators[h, i, i] = half[h, i]
+        if terms.heading >= 0:
+            first, second = terms.first, terms.second
+            generators[h, first, first] = c * half[h, first]
+            generators[h, second, first] = s * half[h, first]
+            generators[h, first, second] = -s * half[h, second]
+            generators[h, second, second] = c * half[h, second]
+
+
+@compiled
+def observe(
+    samples: Samples, count: Ints, slots: Ints, record: Record, waiting: Waiting, terms: Terms, confidence: float,
+    gate: Ints,
+) -> None:  # fmt: skip
+    """Hold the new samples of vehicles (B,) against the predictions that wait for them; ``gate`` (B,) becomes the place
+    of a sample found to be a glitch, else -1."""
+    places = samples.t.shape[1]
+    error = np.empty(terms.n)
+    for b in range(len(slots)):
+        slot = slots[b]
+        gate[b] = -1
+        if waiting.fitted[slot]:
+            codes, scores = record.codes[slot], record.scores[slot]
+            known, limits = record.known[slot], record.limits[slot]
+            for number in range(max(waiting.seen[slot], count[slot] - places), count[slot]):
+                _forget(codes, scores, known, limits, number % places, confidence)
+                if _reveals_glitch(samples, slot, number, record, waiting, terms, error):
+                    gate[b] = (number - 1) % places
+                    _forget(codes, scores, known, limits, (number - 1) % places, confidence)
+                    waiting.number[slot, (number - 1) % terms.horizon] = -1
+                    waiting.glitches[slot] += 1
+                _take_in(samples, slot, number, record, waiting, terms, confidence, error)
+            renew_margins(limits, record.ratio[slot], record.margin[slot])
+        waiting.seen[slot] = count[slot]
+
+
+@compiled
+def _forget(codes: Codes, scores: Scores, known: Ints, limits: Array, place: int, confidence: float) -> None:
+    """Remove the errors that the sample at a place showed."""
+    for kind in range(scores.shape[1]):
+        write(scores, known, limits, place, kind, math.nan, confidence)
+    codes[place] = 0
+
+
+@compiled
+def _take_in(
+    samples: Samples, slot: int, number: int, record: Record, waiting: Waiting, terms: Terms, confidence: float,
+    error: Array,
+) -> None:  # fmt: skip
+    """Score the predictions of a sample."""
+    x, gated = samples.x[slot], samples.gated[slot]
+    place = number % len(x)
+    codes, scores, known, limits = record.codes[slot], record.scores[slot], record.known[slot], record.limits[slot]
+    made, angle = waiting.number[slot], waiting.angle[slot]
+    steps = 0 if gated[place] else min(terms.horizon, samples.run[slot, place])
+    for h in range(steps):
+        row = (number - h - 1) % terms.horizon
+        if made[row] != number - h - 1 or not clean(gated, number - h - 1, 0, terms):
+            continue
+        center, size = waiting.center[slot, row], waiting.size[slot, row]
+        error_in_frame(x, place, center, h, math.cos(angle[row]), math.sin(angle[row]), terms, error)
+        for i in range(terms.n):
+            codes[place, h, i] = encoded(abs(error[i]))
+        write(scores, known, limits, place, h, score_of(error, size[h]), confidence)
+    if scores.shape[1] > terms.horizon:
+        write(scores, known, limits, place, terms.horizon, tube_score(scores, record.ratio[slot], number), confidence)
+
+
+@compiled
+def _reveals_glitch(
+    samples: Samples, slot: int, number: int, record: Record, waiting: Waiting, terms: Terms, error: Array
+) -> bool:
+    """Whether the one-step error of a sample is a miss opposite to that of the one before, which was far outside; keeps
+    it, in units of its box, for the next."""
+    x, gated = samples.x[slot], samples.gated[slot]
+    place, row = number % len(x), (number - 1) % terms.horizon
+    made = waiting.number[slot, row] == number - 1 and samples.run[slot, place] > 0
+    if not made or not clean(gated, number - 1, 1, terms):
+        return False
+    angle, last, far = waiting.angle[slot, row], waiting.last[slot], 0
+    error_in_frame(x, place, waiting.center[slot, row], 0, math.cos(angle), math.sin(angle), terms, error)
+    for i in range(terms.n):
+        if abs(last[i]) > abs(last[far]):
+            far = i
+    before = last[far] if waiting.last_number[slot] == number - 1 else 0.0
+    for i in range(terms.n):
+        last[i] = error[i] / (record.margin[slot, 0] * waiting.size[slot, row, 0, i])
+    found = abs(before) > GLITCH and abs(last[far]) > 1.0 and last[far] * before < 0.0
+    waiting.last_number[slot] = -1 if found else number
+    return bool(found)

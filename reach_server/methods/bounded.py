@@ -1,0 +1,135 @@
+"""Guaranteed methods: least squares, bounds of the residual function, sets that are moved from step to step."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fleet_bus.messages import VehicleProfile
+from reach_server.cuts import CutMethod
+from reach_server.factor_sets import FactorSet, replace_rows
+from reach_server.inputs import future_inputs, limits
+from reach_server.learning import ResidualModels
+from reach_server.methods.method import Reason, Slots
+from reach_server.model import NoiseBounds
+from reach_server.plans import StraightPlan
+from reach_server.recursion import InputSets, Recursion
+from reach_server.regression import Layout, lagged_inputs, unwrapped, wrap
+from reach_server.served import KnownInputs, Served
+from reach_server.sets import strips
+from reach_server.sets.kernels import MISSED
+from reach_server.straight import StraightTubes
+from reach_server.straight_recursion import straight_tubes
+from reach_server.windows import Block, Floats, Window
+
+#: Bounds of a prediction are moved outwards by this part of their size, against rounding.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecursionForecast:
+    """Sets that begin at the received state and are moved by a model."""
+
+    start: FactorSet
+    motion: Recursion
+    plane: tuple[int, int]
+    cuts: CutMethod
+
+    def ahead(self) -> None:
+        """Each set follows from the one before."""
+
+    def straight(self, rows: Slots, plan: StraightPlan) -> StraightTubes:
+        """See ``Forecast``."""
+        return straight_tubes(self.motion, self.start, rows, plan, self.plane, self.cuts)
+
+
+class Bounded:
+    """``set_membership``, ``residual_hull`` and ``paper`` (which is ``residual_hull`` in the world frame)."""
+
+    claims_measured = False
+    frozen = False
+
+    def __init__(self, profile: VehicleProfile, method: str, window: Window, horizon: int) -> None:
+        self._profile = profile
+        self._membership = method == "set_membership"
+        self._horizon = horizon
+        self._layout = Layout.of(profile, "world" if method == "paper" else None)
+        self.bounds = NoiseBounds.of(profile, self._layout)
+        self.samples_needed = self._layout.lags + 1
+        # Bounds of body-frame derivatives say nothing about the world-frame model.
+        world_of_body = profile.frame == "body" and self._layout.pose is None
+        self.lipschitz = None if world_of_body else profile.lipschitz
+        self.notes: tuple[str, ...] = ("no Lipschitz bound",) if self.lipschitz is None else ()
+        self._models = ResidualModels(
+            profile, self._layout, self.bounds, self.lipschitz, window, membership=self._membership
+        )
+        self.grow, self.reset, self.learn = self._models.grow, self._models.reset, self._models.learn
+        self.missing, self.rank_deficient = self._models.missing, self._models.rank_deficient
+
+    def glitches(self) -> list[tuple[int, int]]:
+        """None: stated bounds hold for every sample."""
+        return []
+
+    def reasons(self, slots: Slots, block: Block, known: KnownInputs | None) -> list[Reason]:
+        """See ``Method``."""
+        return [lags_missing(block, self._layout), inputs_unlimited(self._profile, self._horizon, block, known)]
+
+    def forecast(self, served: Served) -> RecursionForecast:
+        """See ``Method``."""
+        start = received(served, self._layout, self.bounds, self._models.newest(served.slots))
+        inputs = input_sets(self._profile, self._layout, self._horizon, served)
+        models = self._models.models(served.slots, inputs)
+        motion = Recursion(inputs, models, self.bounds.process, self._layout, self._membership)
+        return RecursionForecast(start, motion, self._profile.position, self._profile.cuts)
+
+
+def lags_missing(block: Block, layout: Layout) -> Reason:
+    """Vehicles whose lagged inputs are not known; the current one may be anything within its limits."""
+    known = block.valid[:, -1].copy()
+    if layout.lags:
+        known &= block.linked[:, -layout.lags :].all(axis=1)
+        known &= block.input_known[:, -layout.lags - 1 : -1].all(axis=1)
+    return ~known, "the lagged inputs are not complete yet"
+
+
+def inputs_unlimited(profile: VehicleProfile, horizon: int, block: Block, known: KnownInputs | None) -> Reason:
+    """Vehicles of which an input of the horizon is neither known nor limited."""
+    needed = ~block.input_known[:, -1] | (known is None and horizon > 1)
+    limited = bool(np.isfinite(np.concatenate(limits(profile))).all())
+    return needed & (not limited), "no plan came, and the profile states no limits for an input"
+
+
+def input_sets(profile: VehicleProfile, layout: Layout, horizon: int, served: Served) -> InputSets:
+    """What the inputs of the horizon can be."""
+    u = lagged_inputs(served.block, layout)[:, -1].reshape(len(served.slots), layout.lags + 1, layout.m)
+    known = served.known
+    return future_inputs(
+        profile, u[:, 1:], u[:, 0], served.block.input_known[:, -1], horizon,
+        None if known is None else known.plan, None if known is None else known.tolerance,
+    )  # fmt: skip
+
+
+def received(served: Served, layout: Layout, bounds: NoiseBounds, newest: Floats) -> FactorSet:
+    """The true states (B, n) now: the received ones, enlarged by the noise of measurement, and cut by the interval hull
+    of what was predicted for them (set-membership filtering); outer bounds. Angles among the regressors are in the turn
+    of the ``newest`` state that the models hold in.
+
+    A received state that no state of its prediction explains is taken alone; the audit tells of it.
+    """
+    x = unwrapped(served.block, layout)[:, -1]
+    if layout.pose is None:
+        turns = list(layout.angles)
+        x[:, turns] = newest[:, turns] + wrap(x[:, turns] - newest[:, turns])
+    start = FactorSet.zonotope(x, np.broadcast_to(bounds.measurement, (len(x), *bounds.measurement.shape)))
+    if served.prior is None or not len(served.prior.rows):
+        return start
+    rows, prior = served.prior.rows, served.prior.sets
+    middle, half = prior.center.copy(), np.abs(prior.generators).sum(axis=2)
+    for i in layout.angles:
+        middle[:, i] = x[rows, i] + wrap(middle[:, i] - x[rows, i])
+    margin = ROUNDING * (np.abs(middle) + half)
+    cut = strips.narrow(
+        start.center[rows], start.generators[rows], np.eye(layout.n), middle - half - margin, middle + half + margin,
+        np.ones(middle.shape, dtype=bool), plane=layout.plane,
+    )  # fmt: skip
+    held = np.flatnonzero(~(cut.acted & MISSED).any(axis=1))
+    return replace_rows(start, rows[held], FactorSet.zonotope(cut.center[held], cut.generators[held]))

@@ -1,0 +1,123 @@
+"""Method ``lti``: all linear models that agree with the data at once, moved from step to step."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet_bus.errors import UsageError
+from fleet_bus.messages import VehicleProfile
+from reach_server import lti
+from reach_server.factor_sets import FactorSet
+from reach_server.methods.bounded import input_sets, inputs_unlimited, lags_missing, received
+from reach_server.methods.method import Reason, Slots
+from reach_server.model import NoiseBounds
+from reach_server.plans import StraightPlan
+from reach_server.regression import Layout, transitions
+from reach_server.rows import scatter, take, with_room
+from reach_server.served import KnownInputs, Served
+from reach_server.straight import StraightTubes
+from reach_server.windows import Block, Window
+
+#: Samples after which the models of a vehicle are found anew; what agreed with older data still does.
+REFIT_EVERY = 10
+#: Data per unknown below which models are not worth publishing from.
+DATA_PER_UNKNOWN = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearForecast:
+    """Sets that begin at the received state and are moved by all models that agree with the data."""
+
+    start: FactorSet
+    motion: lti.LinearMotion
+
+    def ahead(self) -> None:
+        """Each set follows from the one before."""
+
+    def straight(self, rows: Slots, plan: StraightPlan) -> StraightTubes | None:
+        """Every vehicle goes step by step."""
+        return None
+
+
+class Linear:
+    """All linear models of the vehicles of a class that agree with their data."""
+
+    claims_measured = False
+    frozen = False
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, profile: VehicleProfile, window: Window, horizon: int) -> None:
+        self._profile = profile
+        self._window = window
+        self._horizon = horizon
+        self._layout = Layout.of(profile)
+        if self._layout.pose is not None:
+            raise UsageError("method lti describes linear systems: it needs frame: world")
+        self.bounds = NoiseBounds.of(profile, self._layout)
+        self.samples_needed = self._layout.lags + 1
+        self.lipschitz = profile.lipschitz
+        self._store: Any = None
+        self._fitted_at = np.zeros(0, dtype=np.int64)
+        self._data = np.zeros(0, dtype=np.int64)
+
+    @property
+    def _least(self) -> int:
+        return DATA_PER_UNKNOWN * self._layout.regressors
+
+    def grow(self, slots: int) -> None:
+        """See ``Method``."""
+        self._fitted_at = with_room(self._fitted_at, slots, self._fitted_at)
+        self._data = with_room(self._data, slots, self._data)
+
+    def reset(self, slot: int) -> None:
+        """See ``Method``."""
+        self._fitted_at[slot] = self._data[slot] = 0
+
+    def learn(self, slots: Slots) -> None:
+        """See ``Method``."""
+        count = self._window.count[slots]
+        due = slots[(self._fitted_at[slots] == 0) | (count - self._fitted_at[slots] >= REFIT_EVERY)]
+        due = due[self._window.filled(due) > self._least]
+        if not len(due):
+            return
+        data = transitions(self._window.block(due), self._layout)
+        self._data[due] = data.usable.sum(axis=1)
+        enough = self._data[due] >= self._least
+        if enough.any():
+            models = lti.fit(take(data, enough), self._layout, self.bounds, self.lipschitz)
+            self._store = scatter(self._store, due[enough], models)
+            self._fitted_at[due[enough]] = self._window.count[due[enough]]
+
+    def missing(self, slots: Slots) -> NDArray[np.int64]:
+        """See ``Method``."""
+        lacking = np.maximum(self._least + 1 + self._layout.lags - self._window.filled(slots), 1)
+        return np.asarray(np.where(self._fitted_at[slots] > 0, 0, lacking))
+
+    def glitches(self) -> list[tuple[int, int]]:
+        """None: stated bounds hold for every sample."""
+        return []
+
+    def reasons(self, slots: Slots, block: Block, known: KnownInputs | None) -> list[Reason]:
+        """See ``Method``."""
+        return [
+            lags_missing(block, self._layout),
+            inputs_unlimited(self._profile, self._horizon, block, known),
+            (self.rank_deficient(slots), "the data does not determine a linear model: drive with more excitation"),
+        ]
+
+    def rank_deficient(self, slots: Slots) -> NDArray[np.bool_]:
+        """See ``Method``."""
+        lacking = np.zeros(len(slots), dtype=bool)
+        fitted = self._fitted_at[slots] > 0
+        if fitted.any():
+            lacking[fitted] = ~self._store.determined[slots[fitted]]
+        return lacking
+
+    def forecast(self, served: Served) -> LinearForecast:
+        """See ``Method``."""
+        models = take(self._store, served.slots)
+        start = received(served, self._layout, self.bounds, models.newest)
+        inputs = input_sets(self._profile, self._layout, self._horizon, served)
+        return LinearForecast(start, lti.LinearMotion(inputs, models, self.bounds.process, self._layout))

@@ -1,0 +1,89 @@
+"""What the engine wants of a way to compute sets from data."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet_bus.messages import Lipschitz
+from reach_server.factor_sets import FactorSet
+from reach_server.model import NoiseBounds
+from reach_server.plans import StraightPlan
+from reach_server.served import KnownInputs, Served
+from reach_server.straight import StraightTubes
+from reach_server.tube import Motion
+from reach_server.windows import Block, Floats
+
+Slots = NDArray[np.intp]
+#: Which vehicles (B,) cannot be served, and why.
+Reason = tuple[NDArray[np.bool_], str]
+
+
+class Forecast(Protocol):
+    """How the sets of B served vehicles go on."""
+
+    @property
+    def start(self) -> FactorSet:
+        """The sets (B, n) of now."""
+
+    @property
+    def motion(self) -> Motion:
+        """Step by step."""
+
+    def ahead(self) -> tuple[Floats, Floats] | None:
+        """Centers (B, N + 1, n) and generators (B, N + 1, n, g) of the sets without cuts at steps 0 to N, if they are
+        known before."""
+
+    def straight(self, rows: Slots, plan: StraightPlan) -> StraightTubes | None:
+        """All steps at once for the vehicles of some rows (K,), cut by the plan (K); None if there is no such way."""
+
+
+class Method(Protocol):
+    """Models of the vehicles of a class, by slot, and how sets follow from them."""
+
+    @property
+    def claims_measured(self) -> bool:
+        """Whether the sets speak about measured states, rather than true ones."""
+
+    @property
+    def bounds(self) -> NoiseBounds:
+        """The stated noise, in the frame of the model."""
+
+    @property
+    def lipschitz(self) -> Lipschitz | None:
+        """The stated bounds of derivatives that the method can use."""
+
+    @property
+    def samples_needed(self) -> int:
+        """How many of the newest samples ``reasons`` and ``forecast`` want to see."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What every tube of this method has to say with it."""
+
+    #: Whether nothing is learned any more.
+    frozen: bool
+
+    def grow(self, slots: int) -> None:
+        """Make room for ``slots`` vehicles."""
+
+    def reset(self, slot: int) -> None:
+        """Forget what was learned of one vehicle."""
+
+    def learn(self, slots: Slots) -> None:
+        """Take in what has come of some vehicles, and fit where it is time."""
+
+    def missing(self, slots: Slots) -> NDArray[np.int64]:
+        """How many samples more some vehicles (B,) need before they have a model; 0 where they have one."""
+
+    def reasons(self, slots: Slots, block: Block, known: KnownInputs | None) -> list[Reason]:
+        """Why some of the vehicles (B,), which have models, cannot be served now."""
+
+    def glitches(self) -> list[tuple[int, int]]:
+        """Slots of vehicles of which a sample turned out to be a glitch since the last call, each with a stamp."""
+
+    def rank_deficient(self, slots: Slots) -> NDArray[np.bool_]:
+        """Of which vehicles that are served the data does not determine the model."""
+
+    def forecast(self, served: Served) -> Forecast:
+        """How the sets of some vehicles go on."""

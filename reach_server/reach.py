@@ -1,0 +1,91 @@
+"""Where the vehicles of a batch can be over the horizon, cut by what their scenarios ask: the sets behind a tube.
+
+Two ways lead here. A vehicle whose scenarios ask, at every step, for one set of constant half-spaces and strips is
+*straight*: all of its steps are computed in one compiled loop. Every other vehicle may have branches, and predicates
+that depend on the set; its steps are computed one after the other, with all such vehicles of the batch together. Which
+way a vehicle goes depends on itself alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.factor_sets import FactorSet, join_sets
+from reach_server.plans import StraightPlan
+from reach_server.rows import take
+from reach_server.straight import StraightTubes
+from reach_server.windows import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """Sets of B vehicles at steps 1 to N, and those without side information, ``free``.
+
+    ``area`` and ``area_free`` (B, N), ``heights`` (B, N, K) over the directions of an outline and ``hull`` (B, N, 2, n)
+    as in ``Figures``. ``acted`` (B, N, L): the literals that cut the sets of a step. ``bounded`` (B,): all sets are
+    finite. ``emptied`` (B,): cuts left nothing, so that the sets are the free ones. ``excluded`` (B,): the data
+    excludes the stated bounds. ``blamed``: by row of a vehicle whose cuts left nothing, the step at which, and the
+    literals that took part.
+    """
+
+    steps: tuple[FactorSet, ...]
+    free: tuple[FactorSet, ...]
+    area: Floats
+    area_free: Floats
+    heights: Floats
+    hull: Floats
+    acted: NDArray[np.bool_]
+    bounded: NDArray[np.bool_]
+    emptied: NDArray[np.bool_]
+    excluded: NDArray[np.bool_]
+    blamed: dict[int, tuple[int, list[int]]]
+
+    @staticmethod
+    def of(tubes: StraightTubes, plan: StraightPlan, literals: int) -> "Reach":
+        """Those of straight vehicles."""
+        return Reach(
+            _zonotopes(tubes.center, tubes.generators), _zonotopes(tubes.free_center, tubes.free_generators),
+            tubes.area, tubes.area_free, tubes.heights, tubes.hull,
+            tubes.acted_literals(plan, literals)[:, 1:], tubes.bounded, tubes.ended >= 0, tubes.contradicted, {},
+        )  # fmt: skip
+
+    def rows(self, rows: NDArray[np.intp]) -> "Reach":
+        """Those of some vehicles (K,), in that order."""
+        arrays: list[Any] = []
+        for f in fields(self)[:-1]:
+            value = getattr(self, f.name)
+            arrays.append(tuple(take(s, rows) for s in value) if isinstance(value, tuple) else value[rows])
+        place = {row: number for number, row in enumerate(rows.tolist())}
+        arrays.append({place[row]: what for row, what in self.blamed.items() if row in place})
+        return Reach(*arrays)
+
+    @staticmethod
+    def together(parts: Sequence["Reach"], order: NDArray[np.intp]) -> "Reach":
+        """Those of several batches one after the other, then in the ``order`` of rows given."""
+        if len(parts) == 1:
+            # One batch is in order.
+            return parts[0]
+        arrays: list[Any] = []
+        for f in fields(Reach)[:-1]:
+            values = [getattr(part, f.name) for part in parts]
+            if isinstance(values[0], tuple):
+                arrays.append(tuple(join_sets(list(sets)) for sets in zip(*values, strict=True)))
+            else:
+                arrays.append(np.concatenate(values))
+        blamed: dict[int, tuple[int, list[int]]] = {}
+        before = 0
+        for part in parts:
+            blamed |= {before + row: what for row, what in part.blamed.items()}
+            before += len(part.area)
+        arrays.append(blamed)
+        return Reach(*arrays).rows(order)
+
+
+def _zonotopes(center: Floats, generators: Floats) -> tuple[FactorSet, ...]:
+    """Sets by step, from center (B, N, n) and generators (B, N, n, g)."""
+    count, steps, _, g = generators.shape
+    matrix, offset = np.zeros((count, 0, g)), np.zeros((count, 0))
+    return tuple(FactorSet(center[:, k], generators[:, k], matrix, offset) for k in range(steps))

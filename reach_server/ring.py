@@ -1,0 +1,315 @@
+"""Compiled loops over the samples of ring buffers: what is stored, what follows what, and what is no honest pose."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet_bus.messages import StateFlag
+from reach_server.sets.compiled import compiled
+
+#: Samples in a row before the newest stamp after which the newest stamp is no longer believed.
+RESYNC = 3
+#: Batches in a row with nothing but an older epoch after which that epoch is believed to be alive.
+OLDER_EPOCH = 20
+#: A pose jumps where it changes by more than this times what rates and speed limits allow,
+ALLOWED_CHANGE = 2.0
+#: or, without those, by more than this times every change between linked samples in the window,
+SEEN_CHANGE = 10.0
+#: and by more than this times what its own speed says.
+OWN_SPEED = 3.0
+#: A vehicle moves where its speed says more than this share of the greatest change of position in the window.
+MOVING = 0.05
+#: Links in the window below which nothing is said about the changes of a vehicle.
+LEAST_LINKS = 50
+#: Numbers of a magnitude above this are no measurements; their squares would overflow.
+GREATEST = 1e30
+
+#: What becomes of a sample: one of the first, or stored with any of the rest.
+STORED, REPEATED, BACKWARDS, STOPPED, NOT_FINITE, TOO_OLD = 0, 1, 2, 3, 4, 5
+REFUSED = 7
+NO_INPUT, STALE, JUMPED, RESYNCED, AFTER_STALE = 8, 16, 32, 64, 128
+
+_MISSING = int(StateFlag.INPUT_MISSING)
+_NEW = int(StateFlag.NEW_TRAJECTORY)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class Samples(NamedTuple):
+    """Samples (B, ·) as in ``SampleBatch``, contiguous."""
+
+    vehicle: Ints
+    epoch: NDArray[np.uint64]
+    seq: NDArray[np.uint64]
+    t: Ints
+    flags: NDArray[np.uint32]
+    x: Floats
+    u: Floats
+
+
+class Ring(NamedTuple):
+    """Ring buffers (V, S, ·) of samples, and what follows from them; ``run``, ``input_known`` and ``gated`` as in
+    ``Columns``."""
+
+    epoch: NDArray[np.uint64]
+    seq: NDArray[np.uint64]
+    t: Ints
+    flags: NDArray[np.uint32]
+    x: Floats
+    u: Floats
+    run: NDArray[np.int32]
+    input_known: Mask
+    gated: Mask
+
+
+class Rules(NamedTuple):
+    """When samples follow each other: sample ``interval`` within ``slack`` (ns), and what counts as a jump.
+
+    ``angle`` (n,); ``pose`` (n,) are the states that may jump, ``top`` (n,) how much they may change per second (inf
+    where nothing is stated), ``margin`` (n,) what two measurement errors explain. ``first`` and ``second`` are the
+    positions, whose change is their distance, and ``speed`` the state that says how fast it grows; -1 where no role
+    names them.
+    """
+
+    interval: int
+    slack: float
+    angle: Mask
+    pose: Mask
+    top: Floats
+    margin: Floats
+    first: int
+    second: int
+    speed: int
+
+
+@compiled
+def survey(batch: Samples, ring: Ring, count: Ints, older: Ints, late: Mask) -> tuple[bool, bool]:
+    """Mark samples that are not newer, by (epoch, seq), than the newest one stored of their vehicle; whether the batch
+    is sorted by (vehicle, epoch, seq), and whether anything is marked. Where the newest epoch is alive, ``older`` is
+    set to zero."""
+    size = ring.t.shape[1]
+    in_order, any_late = True, False
+    for k in range(len(batch.vehicle)):
+        slot, epoch, seq = batch.vehicle[k], batch.epoch[k], batch.seq[k]
+        if k > 0:
+            before = batch.vehicle[k - 1]
+            if slot < before or (
+                slot == before
+                and (epoch < batch.epoch[k - 1] or (epoch == batch.epoch[k - 1] and seq < batch.seq[k - 1]))
+            ):
+                in_order = False
+        late[k] = False
+        if count[slot] > 0:
+            newest = (count[slot] - 1) % size
+            known = ring.epoch[slot, newest]
+            late[k] = epoch < known or (epoch == known and seq <= ring.seq[slot, newest])
+            if epoch >= known:
+                older[slot] = 0
+            any_late = any_late or late[k]
+    return in_order, any_late
+
+
+@compiled
+def append(batch: Samples, ring: Ring, count: Ints, earlier: Ints, rules: Rules, fate: NDArray[np.uint8]) -> None:
+    """Append samples sorted by (vehicle, epoch, seq), newer than what is stored, each with its fate."""
+    size = ring.t.shape[1]
+    for k in range(len(batch.vehicle)):
+        slot = batch.vehicle[k]
+        fate[k] = _admit(batch, k, ring, count[slot], earlier)
+        if fate[k] & REFUSED:
+            continue
+        earlier[slot] = 0
+        place = count[slot] % size
+        fate[k] |= _write(batch, k, ring, place, rules, min(count[slot], size - 1))
+        count[slot] += 1
+
+
+@compiled
+def _admit(batch: Samples, k: int, ring: Ring, count: int, earlier: Ints) -> int:
+    """Whether sample k of a sorted batch is stored after the newest one: STORED, RESYNCED, or why not."""
+    slot = batch.vehicle[k]
+    if (
+        k > 0
+        and batch.vehicle[k - 1] == slot
+        and batch.epoch[k - 1] == batch.epoch[k]
+        and batch.seq[k - 1] == batch.seq[k]
+    ):
+        return REPEATED
+    if not _is_finite(batch.x[k]):
+        return NOT_FINITE
+    if count == 0:
+        return STORED
+    newest = (count - 1) % ring.t.shape[1]
+    if ring.epoch[slot, newest] != batch.epoch[k] or batch.t[k] > ring.t[slot, newest]:
+        return STORED
+    if batch.t[k] == ring.t[slot, newest]:
+        earlier[slot] = 0
+        return STOPPED
+    if earlier[slot] >= RESYNC:
+        return RESYNCED
+    earlier[slot] += 1
+    return BACKWARDS
+
+
+@compiled
+def fit_in(batch: Samples, held: Mask, fate: NDArray[np.uint8]) -> None:
+    """Which samples of one vehicle, sorted by (epoch, seq), are stored: all ``held`` ones, and of the others those that
+    are not among them already and whose stamps lie between those of their neighbours."""
+    last = -1
+    for k in range(len(batch.vehicle)):
+        fate[k] = STORED if held[k] else _fits(batch, k, last)
+        if fate[k] == STORED:
+            last = k
+    following = -1
+    for k in range(len(batch.vehicle) - 1, -1, -1):
+        if fate[k] == STORED:
+            if not held[k] and following >= 0 and batch.epoch[k] == batch.epoch[following]:
+                if batch.t[k] == batch.t[following]:
+                    fate[k] = STOPPED
+                elif batch.t[k] > batch.t[following]:
+                    fate[k] = BACKWARDS
+            if fate[k] == STORED:
+                following = k
+
+
+@compiled
+def _fits(batch: Samples, k: int, last: int) -> int:
+    """Whether sample k may follow the one stored before it, ``last`` (-1 for none)."""
+    if last >= 0 and batch.epoch[k] == batch.epoch[last] and batch.seq[k] == batch.seq[last]:
+        return REPEATED
+    if not _is_finite(batch.x[k]):
+        return NOT_FINITE
+    if last < 0 or batch.epoch[k] != batch.epoch[last] or batch.t[k] > batch.t[last]:
+        return STORED
+    return STOPPED if batch.t[k] == batch.t[last] else BACKWARDS
+
+
+@compiled
+def _is_finite(numbers: Floats) -> bool:
+    for number in numbers:  # noqa: SIM110 - generators do not compile
+        # NaN compares as false.
+        if not abs(number) <= GREATEST:
+            return False
+    return True
+
+
+@compiled
+def rebuild(batch: Samples, gated: Mask, start: int, ring: Ring, rules: Rules, fate: NDArray[np.uint8]) -> None:
+    """Write the sorted samples of one vehicle, at most as many as there are places, from place ``start`` on."""
+    size = ring.t.shape[1]
+    for k in range(len(batch.vehicle)):
+        place = (start + k) % size
+        fate[k] = _write(batch, k, ring, place, rules, k)
+        ring.gated[batch.vehicle[k], place] = gated[k]
+
+
+@compiled
+def _write(batch: Samples, k: int, ring: Ring, place: int, rules: Rules, held: int) -> int:
+    """Store sample k, before which ``held`` places are filled, and what follows from it."""
+    slot = batch.vehicle[k]
+    ring.epoch[slot, place] = batch.epoch[k]
+    ring.seq[slot, place] = batch.seq[k]
+    ring.t[slot, place] = batch.t[k]
+    for i in range(batch.x.shape[1]):
+        ring.x[slot, place, i] = batch.x[k, i]
+    finite = True
+    for i in range(batch.u.shape[1]):
+        finite = finite and abs(batch.u[k, i]) <= GREATEST
+    for i in range(batch.u.shape[1]):
+        ring.u[slot, place, i] = batch.u[k, i] if finite else 0.0
+    known = batch.flags[k] & _MISSING == 0
+    ring.flags[slot, place] = batch.flags[k] if finite else batch.flags[k] | np.uint32(_MISSING)
+    ring.input_known[slot, place] = known and finite
+    ring.gated[slot, place] = False
+    ring.run[slot, place] = 0
+    found = NO_INPUT if known and not finite else STORED
+    if held == 0:
+        return found
+    size = ring.t.shape[1]
+    before = (place - 1) % size
+    elapsed = ring.t[slot, place] - ring.t[slot, before]
+    if (
+        ring.epoch[slot, place] != ring.epoch[slot, before]
+        or ring.seq[slot, place] != ring.seq[slot, before] + np.uint64(1)
+        or ring.flags[slot, place] & _NEW != 0
+        or abs(elapsed - rules.interval) > rules.slack
+    ):
+        return found
+    broken = _breaks(ring.x, ring.run, slot, before, held, elapsed * 1e-9, rules)
+    if broken == STORED:
+        ring.run[slot, place] = min(ring.run[slot, before], 2**30) + 1
+    return found | broken
+
+
+@compiled
+def _breaks(x: Floats, run: NDArray[np.int32], slot: int, before: int, held: int, elapsed: float, rules: Rules) -> int:
+    """JUMPED, STALE or AFTER_STALE where the pose after place ``before`` does not follow from the one there."""
+    size = x.shape[1]
+    place = (before + 1) % size
+    said = 0.0
+    if rules.speed >= 0:
+        said = max(abs(x[slot, before, rules.speed]), abs(x[slot, place, rules.speed])) * elapsed
+    for i in range(len(rules.pose)):
+        change = _change(x, slot, before, place, i, rules)
+        if change <= rules.margin[i]:
+            continue
+        if rules.top[i] < np.inf:
+            if change > ALLOWED_CHANGE * rules.top[i] * elapsed + rules.margin[i]:
+                return JUMPED
+        elif rules.pose[i]:
+            own = said if i in (rules.first, rules.second) else 0.0
+            if change > OWN_SPEED * own and _exceeds(x, run, slot, before, held, i, change, SEEN_CHANGE, rules):
+                return JUMPED
+    if rules.speed < 0 or rules.first < 0 or said <= rules.margin[rules.first]:
+        return STORED
+    repeats = _is_still(x, slot, before, place, rules)
+    # What follows a repeated pose makes up for it: an increment of two intervals.
+    after = held > 1 and run[slot, before] == 0 and _is_still(x, slot, (before - 1) % size, before, rules)
+    if (repeats or after) and _exceeds(x, run, slot, before, held, rules.first, said, MOVING, rules):
+        return STALE if repeats else AFTER_STALE
+    return STORED
+
+
+@compiled
+def _is_still(x: Floats, slot: int, before: int, place: int, rules: Rules) -> bool:
+    first, second = rules.first, rules.second
+    return bool(x[slot, place, first] == x[slot, before, first] and x[slot, place, second] == x[slot, before, second])
+
+
+@compiled
+def _change(x: Floats, slot: int, before: int, place: int, i: int, rules: Rules) -> float:
+    """How much a state changes: the distance for positions, the lesser turn for angles."""
+    if i in (rules.first, rules.second):
+        return math.hypot(
+            x[slot, place, rules.first] - x[slot, before, rules.first],
+            x[slot, place, rules.second] - x[slot, before, rules.second],
+        )
+    change = abs(x[slot, place, i] - x[slot, before, i])
+    if rules.angle[i] and change > math.pi:
+        change %= 2 * math.pi
+        change = min(change, 2 * math.pi - change)
+    return float(change)
+
+
+@compiled
+def _exceeds(
+    x: Floats, run: NDArray[np.int32], slot: int, newest: int, held: int, i: int, change: float, share: float,
+    rules: Rules,
+) -> bool:  # fmt: skip
+    """Whether ``change`` exceeds ``share`` times every change of state i between linked ones of the ``held`` samples up
+    to ``newest``, some change among enough links presupposed."""
+    size = x.shape[1]
+    links, moved = 0, False
+    for back in range(held - 1):
+        place = (newest - back) % size
+        if run[slot, place] > 0:
+            seen = _change(x, slot, (place - 1) % size, place, i, rules)
+            if change <= share * seen:
+                return False
+            links += 1
+            moved = moved or seen > 0.0
+    return moved and links >= LEAST_LINKS

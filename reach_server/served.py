@@ -1,0 +1,53 @@
+"""The vehicles of a round that get a tube, and what is known of the inputs to come."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.factor_sets import FactorSet
+from reach_server.rows import take
+from reach_server.windows import Block, Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownInputs:
+    """Later inputs of a batch that are known: ``plan`` (B, N - 1, m), within ``tolerance`` (B, m)."""
+
+    plan: Floats
+    tolerance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Served:
+    """Vehicles (B,): their slots, their newest samples as identified and stamped, the newest part of their windows, and
+    the inputs to come."""
+
+    slots: NDArray[np.intp]
+    epoch: NDArray[np.uint64]
+    seq: NDArray[np.uint64]
+    t: NDArray[np.int64]
+    block: Block
+    known: KnownInputs | None
+    prior: "Prior | None" = None
+
+    def rows(self, rows: NDArray[np.intp]) -> "Served":
+        """Those of some rows, ascending."""
+        if len(rows) == len(self.slots):
+            return self
+        known = None if self.known is None else take(self.known, rows)
+        prior = None
+        if self.prior is not None:
+            kept = np.flatnonzero(np.isin(self.prior.rows, rows))
+            prior = Prior(np.searchsorted(rows, self.prior.rows[kept]), take(self.prior.sets, kept))
+        return Served(
+            self.slots[rows], self.epoch[rows], self.seq[rows], self.t[rows], take(self.block, rows), known, prior
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What was predicted for the newest samples of some of the vehicles, ``rows`` (K,): ``sets`` (K) of true states."""
+
+    rows: NDArray[np.intp]
+    sets: FactorSet

@@ -1,0 +1,63 @@
+"""Codes of errors, and rank statistics that are kept instead of computed."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from reach_server.calibrated import least_scores, scores
+from tests.reach_server.ugly import moderate
+
+
+@given(st.floats(2.0**-40, 2.0**23))
+def test_codes_are_rounded_up_a_little(magnitude: float) -> None:
+    back = scores.decoded(scores.encoded(magnitude))
+    assert magnitude * (1 - 1e-12) <= back <= magnitude * 1.0007
+
+
+@pytest.mark.parametrize("magnitude", [0.0, 1e-30, 1e30, math.inf, math.nan])
+def test_codes_of_extremes(magnitude: float) -> None:
+    code = scores.encoded(magnitude)
+    assert 1 <= code <= scores.LAST_CODE
+    assert (code == 1) == (magnitude < 1)
+
+
+@pytest.mark.parametrize("confidence", [0.6, 0.9, 0.95, 0.99])
+def test_the_rank_is_the_conformal_one(confidence: float) -> None:
+    for known in range(1200):
+        wanted = math.ceil((known + 1) * confidence - 1e-9)
+        top = scores.rank_from_top(known, confidence)
+        assert top == (known - wanted + 1 if wanted <= known else 0)
+        assert (top > 0) == (known >= least_scores(confidence))
+
+
+@moderate
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.6, 0.9, 0.97]))
+def test_kept_rank_statistics_are_those_of_all_scores(seed: int, confidence: float) -> None:
+    rng = np.random.default_rng(seed)
+    places, kinds = 60, 2
+    record = np.full((places, kinds), np.nan, dtype=np.float32)
+    known, limits = np.zeros(kinds, dtype=np.int64), np.full(kinds, math.inf)
+    for _ in range(400):
+        place, kind = int(rng.integers(places)), int(rng.integers(kinds))
+        # Few values, so that many are equal.
+        score = math.nan if rng.random() < 0.1 else float(rng.integers(12))
+        scores.write(record, known, limits, place, kind, score, confidence)
+        for which in range(kinds):
+            there = np.sort(record[:, which][~np.isnan(record[:, which])])
+            rank = math.ceil((len(there) + 1) * confidence - 1e-9)
+            assert known[which] == len(there)
+            assert limits[which] == (there[rank - 1] if rank <= len(there) else math.inf)
+
+
+def test_scores_of_tubes_are_those_of_their_steps() -> None:
+    rng = np.random.default_rng(1)
+    record = rng.random((20, 4)).astype(np.float32)
+    record[7, 1] = np.nan
+    ratio = np.array([1.0, 2.0, 4.0])
+    for number in range(3, 50):
+        steps = [record[(number - 2 + h) % 20, h] / ratio[h] for h in range(3)]
+        score = scores.tube_score(record, ratio, number)
+        assert math.isnan(score) if np.isnan(steps).any() else score == pytest.approx(max(steps))
