@@ -1,6 +1,5 @@
 """The command ``fleet``: options and arguments; the work is done in the packages."""
 
-import json
 import logging
 import signal
 import sys
@@ -15,6 +14,8 @@ from rich.markup import escape
 
 from fleet_bus.errors import FleetError, ScenarioError, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
+from fleet_cli import offline
+from fleet_cli.outputs import write_json
 
 app = typer.Typer(
     name="fleet",
@@ -266,40 +267,8 @@ def replay(
         print(f"{report.vehicle}: {report.published} samples published" + (f", {skipped}" if skipped else ""))
 
 
-@app.command()
-def evaluate(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) to test on.")],
-    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")],
-    train: Annotated[
-        list[Path] | None, typer.Option(help="Recordings to train on, else the first part of each.")
-    ] = None,
-    method: Annotated[list[str] | None, typer.Option(help="Methods to set side by side.")] = None,
-    horizon: Annotated[int | None, typer.Option(help="Steps, instead of the profile's.")] = None,
-    inputs: Annotated[str, typer.Option(help="recorded, limits, rate or learned.")] = "recorded",
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here; '-' for stdout.")] = None,
-) -> None:
-    """Coverage, area and time of the engine over recordings, method beside method."""
-    from fleet_cli import evaluation, reports
-    from fleet_cli.profile_files import find_profile
-    from vehicle_agent.recording import load_recording
-
-    if inputs not in ("recorded", "limits", "rate", "learned"):
-        raise UsageError(f"--inputs {inputs!r} is unknown: choose recorded, limits, rate or learned")
-    if horizon is not None and not 1 <= horizon <= 200:
-        raise UsageError(f"--horizon {horizon} must lie between 1 and 200")
-    chosen = find_profile(profile)
-    loaded = [load_recording(path) for path in recordings]
-    training = [load_recording(path) for path in train or []]
-    with reports.progress() as tell:
-        figures = evaluation.evaluate(
-            loaded, chosen, training=training, methods=method or ["paper", "default"], horizon=horizon, inputs=inputs,
-            progress=tell,
-        )  # fmt: skip
-    steps = horizon or chosen.horizon
-    document = evaluation.as_json(figures, [str(path) for path in recordings], chosen, steps)
-    if json_file is None or str(json_file) != "-":
-        reports.print_evaluation(figures, chosen, [path.name for path in recordings])
-    write_json(document, json_file)
+app.command()(offline.evaluate)
+app.command()(offline.calibrate)
 
 
 @app.command()
@@ -331,17 +300,3 @@ def demo(
             print(f"picture: {picture}")
     if summary["failures"]:
         sys.exit(1)
-
-
-def write_json(document: object, path: Path | None) -> None:
-    """Write a document as JSON to a file, or to stdout for '-'; raise ``UsageError`` if that fails."""
-    if path is None:
-        return
-    text = json.dumps(document, indent=2)
-    if str(path) == "-":
-        print(text)
-        return
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"--json {path}: cannot be written: {error}") from None

@@ -118,7 +118,7 @@ def _tubes_at(monitor: Monitor, scenario: Scenario, vehicle: str, t: int) -> Tub
     engine.assign(vehicle, scenario, monitor.assignments[vehicle].time_zero)
     engine.append(SampleBatch.of(slot, samples[:-1]))
     plan = samples[-1].plan
-    exactly = np.zeros((1, engine.layout.m))
+    exactly = np.zeros((1, len(engine.profile.inputs)))
     known = None if plan is None else KnownInputs(plan[None, : engine.horizon - 1], exactly)
     tubes = engine.step(SampleBatch.of(slot, samples[-1:]), known)
     return tubes if tubes.vehicles else None

@@ -1,15 +1,18 @@
 """What the command prints: progress, tables, summaries."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from fleet_bus.messages import VehicleProfile
-from fleet_cli.evaluation import MethodFigures
+from fleet_cli.evaluation import MethodFigures, StepFigures
+from fleet_cli.evaluation.figures import ROLLING
 
 
 @contextmanager
@@ -29,26 +32,96 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_evaluation(figures: Mapping[str, MethodFigures], profile: VehicleProfile, names: Sequence[str]) -> None:
-    """Coverage and area by step, the methods side by side."""
-    unit = next(iter(profile.state.values())).unit
-    table = Table(title=f"{', '.join(names)} · class {profile.vehicle_class}")
+    """Coverage and area by step, a line a method; areas at equal coverage are also set against the first method's."""
+    unit = profile.state[profile.state_names[profile.position[0]]].unit
+    first = next(iter(figures))
+    share = f"{100 * profile.confidence:g} %"
+    caption = f"areas in {unit}²; at {share}: mean of sets scaled so that {share} of the checked states lie inside"
+    if len(figures) > 1:
+        caption += f"; ratio: of that to {first}"
+    title = f"{', '.join(names)} · class {profile.vehicle_class}"
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1), pad_edge=False)
     table.add_column("step", justify="right")
-    for name in figures:
-        table.add_column(f"{name}\ninside", justify="right")
-        table.add_column(f"\narea mean {unit}²", justify="right")
-        table.add_column(f"\nmedian {unit}²", justify="right")
-    steps = zip(*(method.steps for method in figures.values()), strict=True)
-    for row in steps:
-        cells = [str(row[0].step)]
-        for figure in row:
-            share = f"{100 * figure.inside / figure.checked:.2f} % of {figure.checked}" if figure.checked else "–"
-            cells += [share, f"{figure.area_mean:.4g}", f"{figure.area_median:.4g}"]
-        table.add_row(*cells)
+    table.add_column("method", no_wrap=True)
+    for column in ("inside", "worst run", "mean", "median", f"at {share}", *(["ratio"] if len(figures) > 1 else [])):
+        table.add_column(column, justify="right", no_wrap=True)
+    for row in zip(*(method.steps for method in figures.values()), strict=True):
+        for number, (name, step) in enumerate(zip(figures, row, strict=True)):
+            ratio = [_ratio(step, row[0])] if len(figures) > 1 else []
+            table.add_row(str(step.step) if number == 0 else "", name, *_step_cells(step), *ratio)
     console = Console()
     console.print(table)
+    for line in evaluation_lines(figures):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def evaluation_lines(figures: Mapping[str, MethodFigures]) -> list[str]:
+    """Times, labels, worst runs, rolling coverage and events of each method."""
+    lines = []
     for name, method in figures.items():
         labels = ", ".join(f"{count} {label}" for label, count in sorted(method.label_counts.items()))
-        console.print(f"{name}: {method.update_us_median:.0f} µs an update (median), labels: {labels}", highlight=False)
+        lines.append(
+            f"{name}: {method.update_us_median:.0f} µs an update (median; 99 %: {method.update_us_p99:.0f}), "
+            f"labels: {labels}"
+        )
+        ends = dict.fromkeys((method.steps[0], method.steps[-1]))
+        lines.append("  checked: " + ", ".join(f"{step.checked} at step {step.step}" for step in ends))
+        worst = [step for step in method.steps if step.worst_run is not None and step.worst_run < 1]
+        if worst:
+            step = min(worst, key=lambda s: s.worst_run or 0.0)
+            share = 100 * (step.worst_run or 0.0)
+            lines.append(f"  worst run of all steps: {step.worst_run_name}, {share:.1f} % at step {step.step}")
+        lines += _over_time(method)
+        if method.waiting:
+            reasons = ", ".join(f"{count} {reason}" for reason, count in method.waiting.items())
+            lines.append(f"  samples without a tube: {reasons}")
+        if method.events:
+            first: dict[str, Any] = {}
+            for event in method.events:
+                first.setdefault(event.kind, event)
+            counts = Counter(event.kind for event in method.events)
+            told = ", ".join(f"{n} {kind} (first after {first[kind].sample} samples)" for kind, n in counts.items())
+            lines.append(f"  events: {told}")
+    return lines
+
+
+def _over_time(method: MethodFigures) -> list[str]:
+    """Where the coverage over the newest checks was lowest, and where it ended, for one trial."""
+    lines = []
+    for trial in method.rolling:
+        full = [i for i, at in enumerate(trial.sample) if at - trial.sample[0] >= ROLLING]
+        if not full or len(method.rolling) > 1:
+            continue
+        parts = []
+        for step, shares in trial.steps.items():
+            low = min(full, key=lambda i: shares[i])
+            parts.append(
+                f"step {step}: lowest {100 * shares[low]:.1f} % after {trial.sample[low]} samples, "
+                f"last {100 * shares[-1]:.1f} %"
+            )
+        lines.append(f"  over the newest {ROLLING} checks: {'; '.join(parts)}")
+    return lines
+
+
+def _step_cells(step: StepFigures) -> list[str]:
+    if not step.checked:
+        return ["–"] * 5
+    worst = "–" if step.worst_run is None else f"{100 * step.worst_run:.1f} %"
+    equal = "–" if step.area_equal is None else number(step.area_equal)
+    inside = f"{100 * step.inside / step.checked:.2f} %"
+    return [inside, worst, number(step.area_mean), number(step.area_median), equal]
+
+
+def _ratio(step: StepFigures, base: StepFigures) -> str:
+    if step is base or not step.area_equal or not base.area_equal:
+        return ""
+    return number(step.area_equal / base.area_equal)
+
+
+def number(value: float) -> str:
+    """Three significant digits, without an exponent where that is short."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 
 def print_summary(summary: Mapping[str, Any]) -> None:

@@ -1,0 +1,118 @@
+"""``fleet evaluate`` and ``fleet calibrate``: what is done with recordings, without a bus."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fleet_bus.errors import UsageError
+from fleet_cli.outputs import check_writable, make_folder, write_json, write_text
+
+
+def evaluate(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) to test on.")],
+    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")],
+    train: Annotated[
+        list[Path] | None, typer.Option(help="Recordings to train on, else the first part of each.")
+    ] = None,
+    train_runs: Annotated[
+        str | None,
+        typer.Option(help="Runs to train on: even, odd, first:0.6, last:0.4, slow:0.5, fast:0.5, or 0-9,12."),
+    ] = None,
+    test_runs: Annotated[str | None, typer.Option(help="Runs to test on, else all that do not train.")] = None,
+    run_seconds: Annotated[
+        float | None, typer.Option(help="Cut longer segments into runs of this many seconds.", min=0.1, max=1e6)
+    ] = None,
+    method: Annotated[list[str] | None, typer.Option(help="Methods to set side by side.")] = None,
+    horizon: Annotated[int | None, typer.Option(help="Steps, instead of the profile's.")] = None,
+    inputs: Annotated[str, typer.Option(help="recorded, limits, rate or learned.")] = "recorded",
+    frozen: Annotated[bool, typer.Option("--frozen", help="Learn nothing from tested samples.")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here; '-' for stdout.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw coverage and area by step, and coverage over time (PNG, SVG or PDF).")
+    ] = None,
+) -> None:
+    """Coverage, area and time of the engine over recordings, method beside method."""
+    from fleet_cli import evaluation, reports
+    from fleet_cli.profile_files import find_profile
+    from vehicle_agent.recording import load_recording
+
+    if inputs not in evaluation.INPUTS:
+        raise UsageError(f"--inputs {inputs!r} is unknown: choose one of {', '.join(evaluation.INPUTS)}")
+    if horizon is not None and not 1 <= horizon <= 200:
+        raise UsageError(f"--horizon {horizon} must lie between 1 and 200")
+    check_writable("--json", json_file)
+    check_writable("--picture", picture)
+    chosen = find_profile(profile)
+    loaded = [load_recording(path) for path in recordings]
+    training = [load_recording(path) for path in train or []]
+    trials = evaluation.plan_trials(
+        loaded, chosen, training=training, train_runs=train_runs, test_runs=test_runs, run_seconds=run_seconds
+    )
+    settings = evaluation.Settings(tuple(dict.fromkeys(method or ["paper", "default"])), horizon, inputs, frozen)
+    with reports.progress() as tell:
+        figures = evaluation.evaluate(trials, chosen, settings, tell)
+    document = evaluation.as_json(figures, [str(path) for path in recordings], chosen, horizon or chosen.horizon)
+    names = [path.name for path in recordings]
+    if str(json_file) != "-":
+        reports.print_evaluation(figures, chosen, names)
+    write_json(document, json_file)
+    if picture is not None:
+        from fleet_cli.evaluation.picture import draw_evaluation
+
+        draw_evaluation(figures, names, chosen, picture)
+        if str(json_file) != "-":
+            print(f"picture: {picture}")
+
+
+def calibrate(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) of one class of vehicles.")],
+    profile: Annotated[
+        str | None, typer.Option(help="Profile to complete, else columns and roles are guessed from their names.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the profile (YAML) here.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Folder for report.md, report.json and pictures.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="Methods to try on the runs held out.")] = None,
+    train_runs: Annotated[
+        str | None, typer.Option(help="Runs to fit to when others are held out: even, first:0.6, 0-9,12 …")
+    ] = None,
+    run_seconds: Annotated[
+        float | None, typer.Option(help="Cut longer segments into runs of this many seconds.", min=0.1, max=1e6)
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found here; '-' for stdout.")] = None,
+) -> None:
+    """A profile from recordings: timing, delay, noise and slopes, and how often its sets hold on runs held out."""
+    from fleet_cli import calibration, reports
+    from fleet_cli.calibration import report as reporting
+    from fleet_cli.profile_files import profile_fields
+    from vehicle_agent.recording import load_recording
+
+    for option, path in (("-o", output), ("--json", json_file)):
+        check_writable(option, path)
+    if report is not None:
+        make_folder("--report", report)
+    given = {} if profile is None else profile_fields(profile)
+    loaded = [load_recording(path) for path in recordings]
+    methods = tuple(dict.fromkeys(method or ["calibrated", "set_membership"]))
+    request = calibration.Request(loaded, given, recordings[0].stem, methods, train_runs, run_seconds)
+    with reports.progress() as tell:
+        found = calibration.calibrate(request, tell)
+    names = [path.name for path in recordings]
+    text = calibration.as_yaml(found, names)
+    quiet = str(json_file) == "-"
+    if not quiet:
+        reports.print_evaluation(found.held_out.figures, found.held_out.profile, names)
+        for line in reporting.summary(found):
+            print(line)
+    if output is not None:
+        write_text("-o", output, text)
+        if not quiet:
+            print(f"profile: {output}")
+    elif not quiet:
+        print(f"\n{text}", end="")
+    document = reporting.as_document(found, [str(path) for path in recordings])
+    write_json(document, json_file)
+    if report is not None:
+        reporting.write_report(found, names, document, report)
+        if not quiet:
+            print(f"report: {report / 'report.md'}")
