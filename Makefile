@@ -23,7 +23,7 @@ help:
 	@echo "make requirements  pin anew from pyproject.toml (ARGS=--upgrade: newest versions)"
 	@echo "make clean         remove everything that make has made, $(VENV) too"
 
-demo: $(VENV)/.project
+demo: $(VENV)/.compiled
 	@$(BIN)/fleet demo $(ARGS)
 
 test: lint docs
@@ -62,6 +62,11 @@ $(VENV)/.runtime: requirements/runtime.txt | $(VENV)/.python
 # Every package carries a py.typed: a new package is installed too.
 $(VENV)/.project: pyproject.toml $(VENV)/.runtime $(wildcard */py.typed)
 	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Kernels are compiled at their first call; the first demo need not wait for that in the middle of a drive.
+$(VENV)/.compiled: $(VENV)/.project
+	@$(BIN)/python -m reach_server.warm_up set_membership
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.project

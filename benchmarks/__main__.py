@@ -8,10 +8,12 @@ import argparse
 import json
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 
 NAMES = (
-    "engine",
+    "updates",
+    "curves",
     "wire",
     "support",
     "outline",
@@ -20,6 +22,7 @@ NAMES = (
     "vehicles",
     "growth",
     "progression",
+    "containment",
     "encodings",
     "disc",
 )
@@ -40,37 +43,21 @@ def main(words: list[str] | None = None) -> int:
     # One thread for every side, said before NumPy is loaded.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    from benchmarks import (
-        constraints,
-        disc,
-        encodings,
-        engine,
-        growth,
-        outline,
-        progression,
-        strips,
-        support,
-        vehicles,
-        wire,
-    )
     from benchmarks.report import as_json, as_markdown, conditions
 
-    work = {
-        "engine": engine.run, "wire": wire.run, "support": support.run, "outline": outline.run, "strips": strips.run,
-        "constraints": constraints.run, "vehicles": vehicles.run, "growth": growth.run,
-        "progression": progression.run, "encodings": encodings.run, "disc": disc.run,
-    }  # fmt: skip
+    modules = {name: import_module(f"benchmarks.{name}") for name in arguments.names or NAMES}
     tables = {}
-    for name in arguments.names or NAMES:
+    for name, module in modules.items():
         print(f"running {name} …", file=sys.stderr)
-        tables[name] = work[name](arguments.quick)
+        tables[name] = module.run(arguments.quick)
     where = conditions()
     print(as_markdown(where, tables), end="")
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(as_json(where, tables), indent=2) + "\n", encoding="utf-8")
-    if arguments.plots is not None and "growth" in tables:
-        print(f"drawn: {growth.plot(tables['growth'], arguments.plots)}", file=sys.stderr)
+    for name, table in tables.items() if arguments.plots is not None else ():
+        if hasattr(modules[name], "plot"):
+            print(f"drawn: {modules[name].plot(table, arguments.plots)}", file=sys.stderr)
     return 0
 
 
