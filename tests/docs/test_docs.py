@@ -180,7 +180,7 @@ def test_the_fields_of_a_tube_are_on_the_wire_page() -> None:
             assert kind.startswith(f"bin {field.schema['x-dtype'].removeprefix('<')} ({shape})"), field.key
     assert all(f"`{label}`" in below for label in Label)
     assert len(Cut.__dataclass_fields__) == 4
-    assert len(Audit.__dataclass_fields__) == 3
+    assert len(Audit.__dataclass_fields__) == 6
     assert len(ReachTube.__dataclass_fields__) == len(TUBE_FIELDS)
 
 
