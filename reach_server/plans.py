@@ -138,10 +138,11 @@ class Plans:
         self._weaker = _grown(self._weaker, self._alternatives, 0)
         self._asked[place : self._alternatives, :width] = masks[:, self._strips.literal]
         self._next[place : self._alternatives] = expansion.next
-        i, j = self.table.subsumption(expansion)
-        fits = usable[expansion.parent[i]]
-        i, j = i[fits], j[fits]
-        self._weaker[place + j, i - expansion.start[expansion.parent[i]]] = True
+        if (counts > 1).any():
+            i, j = self.table.subsumption(expansion)
+            fits = usable[expansion.parent[i]]
+            i, j = i[fits], j[fits]
+            self._weaker[place + j, i - expansion.start[expansion.parent[i]]] = True
         most = int(obligations.max()) + 1
         self._first, self._count = _grown(self._first, most, _UNKNOWN), _grown(self._count, most, 0)
         self._first[obligations] = np.where(usable, place + expansion.start[:-1], _UNUSABLE)
@@ -155,7 +156,8 @@ class Plans:
 
     def _register(self, literals: Rows) -> None:
         """Let the strips of some literals be among the strips."""
-        for literal in np.setdiff1d(literals, self._strips.literal).tolist():
+        known = set(self._strips.literal.tolist())
+        for literal in sorted(set(literals.tolist()) - known):
             strips, before = self._literals.fixed_strips(literal), self._strips
             plane = (0, 0) if self._plane is None else self._plane
             others = [i for i in range(self._n) if i not in plane]

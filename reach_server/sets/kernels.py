@@ -29,7 +29,7 @@ ACTED, MISSED = 1, 2
 #: A strip is taken to miss the set only if it does so by more than this, relative to the numbers compared.
 EMPTY_MARGIN = 1e-9
 #: Columns, those that matter most to H, whose λ are tried.
-CANDIDATES = 8
+CANDIDATES = 4
 #: In a second pass a strip cuts only where it takes away more than this part of the width of the set.
 WORTH = 1e-3
 #: A column whose height is less than this part of all heights is not divided by.
