@@ -28,7 +28,6 @@ SETTLED = (
     ("stopped", "range", "a stamp equal to that of an earlier sample: is the clock of the agent stopped?"),
     ("not_finite", "not_finite", "a state that is no number"),
     ("no_input", "input_not_finite", "an input that is no number is taken as not recorded"),
-    ("too_old", "too_old", "older than all that the window holds"),
     ("stale", "stale_pose", "the pose repeats although the vehicle moves: no transition is taken from it"),
     ("resynced", "clock_set_back", "the clock was set back: a new trajectory begins"),
 )
@@ -183,7 +182,8 @@ class Fleet:
             slots = np.unique(joined.vehicle)
             before = engine.window.newest(slots)
             appended, found = engine.append(joined)
-            stored, repeated = stored + appended.stored, repeated + appended.repeated
+            # What caches repeat may be older than all that a full window holds.
+            stored, repeated = stored + appended.stored, repeated + appended.repeated + appended.too_old
             for name, reason, detail in SETTLED:
                 if number := getattr(appended, name):
                     self._rejections.count(MessageError(reason, detail), "fleet/*/state", number)
