@@ -10,6 +10,7 @@ from scipy.special import bdtr
 from fleet_bus.messages import StateFlag
 from reach_server.factor_sets import FactorSet
 from reach_server.regression import wrap
+from reach_server.ring import GREATEST
 from reach_server.rows import take, with_room
 from reach_server.sets import membership
 from reach_server.sets.arrays import stack_columns
@@ -186,7 +187,7 @@ class Predictions:
             & (batch.flags[rows] & int(StateFlag.NEW_TRAJECTORY) == 0)
             & (np.abs(batch.t[rows] - self._t[slots]) <= slack)
             # What is no measurement is refused, and says nothing about a set.
-            & np.isfinite(batch.x[rows]).all(axis=1)
+            & (np.abs(batch.x[rows]) <= GREATEST).all(axis=1)
         )
         # A sample may come twice in one batch, from the bus and from a cache.
         _, first = np.unique(slots[follows], return_index=True)

@@ -19,8 +19,8 @@ Of all pairs (w, L) that satisfy (1) the one of least expected width is taken,
 a linear program for each component; E[D_c] is how far the nearest datum is from another on average, with ζ for the
 datum and ζ for the set that is asked about. Of the T² constraints those that are violated are added round by round
 (cutting planes [Kel60]). Against data that is wrong a gate comes first: residuals beyond ``GATE`` times the 99 %
-quantile of their distance from the median are left out of everything, and must be left out of the windows that the
-bounds are used with.
+quantile of their distance from the median are left out of everything. Windows that hold such data contradict the
+bounds, which the engine tells.
 """
 
 from dataclasses import dataclass

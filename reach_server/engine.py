@@ -64,6 +64,8 @@ class Engine:
             # Compiles on the first run after an installation, better here than in the middle of a round.
             support.warm_up()
         self._slots: dict[str, int] = {}
+        #: Vehicles of which the data has excluded the stated bounds at some time.
+        self._excluded: set[int] = set()
         self._names: list[str] = []
         self._assignments = self._new_assignments()
         self._plans = self._new_plans()
@@ -119,6 +121,7 @@ class Engine:
         self.window.clear(slot)
         self._method.reset(slot)
         self._record.reset(slot)
+        self._excluded.discard(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
         """Cut the tubes of a vehicle by a scenario from now on; raise ``ScenarioError`` if its states do not fit."""
@@ -247,7 +250,7 @@ class Engine:
         deficient = self._method.rank_deficient(served.slots)
         contradicted = self._assignments.contradicted()
         against = np.array([slot in contradicted for slot in slots], dtype=bool)
-        wrong = self._record.falsified[served.slots]
+        wrong = self._record.falsified[served.slots] | reach.excluded
         if self._labels.audited:
             wrong = wrong | self._record.outside[served.slots]
         return Tubes(
@@ -393,9 +396,11 @@ class Engine:
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
         for row in np.flatnonzero(reach.excluded).tolist():
             slot = int(served.slots[row])
-            if not self._record.falsified[slot]:
+            if slot not in self._excluded and not self._record.falsified[slot]:
                 message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
                 vehicle, t = self._names[slot], int(served.t[row])
                 events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
-            self._record.falsified[slot] = True
+            self._excluded.add(slot)
+            # A bound that is stated is wrong for good; one that was fitted is a hypothesis that fails here.
+            self._record.falsified[slot] |= self._labels.certain
         return events

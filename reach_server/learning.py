@@ -24,6 +24,7 @@ from reach_server.regression import Layout
 from reach_server.reservoir import Reservoir
 from reach_server.rows import with_room
 from reach_server.selection import Data, choose_many
+from reach_server.shortage import samples_missing
 from reach_server.windows import Floats, Window
 
 Slots = NDArray[np.intp]
@@ -119,12 +120,8 @@ class ResidualModels:
 
     def missing(self, slots: Slots) -> NDArray[np.int64]:
         """How many samples more some vehicles (B,) need at least before they have a model; 0 where they have one."""
-        newest = (self._window.count[slots] - 1) % self._window.size
-        run = np.where(self._window.count[slots] > 0, self._window.columns().run[slots, newest], -1)
-        # The first datum of a trajectory needs its lags and two samples.
-        begin = np.maximum(self._layout.lags - run, 0)
-        lacking = np.maximum(self._least - self._memory.data[slots], 0) + begin
-        return np.asarray(np.where(self._store.fitted[slots], 0, lacking))
+        lacking = samples_missing(self._window, slots, self._memory.data[slots], self._least, self._layout.lags + 1)
+        return np.asarray(np.where(self._store.fitted[slots], 0, np.maximum(lacking, 1)))
 
     @property
     def _least(self) -> int:
@@ -149,8 +146,9 @@ class ResidualModels:
         samples = Samples(columns.x, columns.u, columns.run, columns.input_known, columns.gated, self._window.count)
         grew = np.zeros(len(slots), dtype=bool)
         p, n, keeps = self._layout.regressors, self._layout.n, self._reservoir.size > 0
-        new = int((self._window.count[slots] - self._memory.taken[slots]).sum()) if keeps else 0
-        left = np.empty((max(new, 0), 1 + p + n))
+        # Of what came, a window holds no more than its size.
+        new = np.minimum(self._window.count[slots] - self._memory.taken[slots], self._window.size)
+        left = np.empty((int(new.sum()) if keeps else 0, 1 + p + n))
         gone = memory.take_in(slots, samples, self._kind, self._memory, self._store.matrix, grew, left)
         if gone:
             self._offer(left[:gone])

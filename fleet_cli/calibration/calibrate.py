@@ -63,22 +63,29 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """A margin tried: coverage of ``set_membership`` on the runs held out, at the step where it is least."""
+    """A margin tried: coverage of ``set_membership`` on the runs held out, at the step where it is least, and the part
+    of the tubes there whose data contradicted the bounds."""
 
     factor: float
     step: int
     checked: int
     inside: int
+    contradicted: float
 
     @property
     def share(self) -> float:
         """Part of the states that lay inside."""
         return self.inside / self.checked if self.checked else 0.0
 
+    def holds(self, confidence: float) -> bool:
+        """Whether the sets hold enough states, and the data hardly ever contradicts the bounds."""
+        return self.share >= confidence and self.contradicted <= 1.0 - confidence
+
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """How the profile does on runs that it was not fitted to."""
+    """How models and fitted bounds do on runs that they were not fitted to. Sample time, lags, measurement noise and
+    limits are estimated from all runs, and the margin is chosen on these very runs."""
 
     train_runs: str
     run_seconds: float | None
@@ -278,7 +285,7 @@ def _held_out(
             widened = _with_bounds(profile, bounds, factor)
             figures = _by_margin(trials, widened, factor, tell)
             margins.append(_worst(factor, figures["set_membership"]))
-            if margins[-1].share >= profile.confidence:
+            if margins[-1].holds(profile.confidence):
                 break
         profile = widened
     others = tuple(method for method in request.methods if method not in figures)
@@ -316,7 +323,9 @@ def _worst(factor: float, figures: MethodFigures) -> Margin:
     if not steps:
         raise RecordingError("no prediction of the held-out runs could be checked: they are too short")
     worst = min(steps, key=lambda step: step.inside / step.checked)
-    return Margin(factor, worst.step, worst.checked, worst.inside)
+    tubes = sum(figures.label_counts.values())
+    contradicted = figures.label_counts.get("contradicted", 0) / tubes if tubes else 0.0
+    return Margin(factor, worst.step, worst.checked, worst.inside, contradicted)
 
 
 def _with_bounds(profile: VehicleProfile, bounds: FittedBounds, margin: float) -> VehicleProfile:
@@ -341,10 +350,11 @@ def _set_bounds(fields: dict[str, Any], bounds: FittedBounds, margin: float) -> 
 def _keep_bounds(draft: _Draft, bounds: FittedBounds, margin: float, held_out: HeldOut) -> None:
     _set_bounds(draft.fields, bounds, margin)
     tried = held_out.margins[-1]
-    if tried.share < held_out.profile.confidence:
+    if not tried.holds(held_out.profile.confidence):
         draft.warnings.append(
             f"with the greatest margin tried ({margin:g}) {100 * tried.share:.1f} % of the held-out states lie in the "
-            f"set_membership sets of step {tried.step}: the fitted bounds do not hold, use calibrated"
+            f"set_membership sets of step {tried.step}, and {100 * tried.contradicted:.1f} % of the tubes are "
+            "contradicted: the fitted bounds do not hold, use calibrated"
         )
     why = f"linear program over {bounds.transitions} transitions"
     process = draft.fields["noise"]["process"].get("box")

@@ -106,12 +106,19 @@ def _held_out(held: HeldOut) -> list[str]:
         "## How often the sets hold",
         "",
         f"Fitted to the runs `{held.train_runs}` ({held.trained} samples), streamed over the others ({held.tested} "
-        f"samples){cut}. The profile itself is fitted to all runs.",
+        f"samples){cut}. Sample time, lags, measurement noise and limits were estimated from all runs, the margin on "
+        "the noise was chosen on the tested ones; the profile itself is fitted to all runs.",
         "",
     ]
     if held.margins:
-        tried = ", ".join(f"{m.factor:g}: {100 * m.share:.2f} % (step {m.step})" for m in held.margins)
-        lines += [f"States in the `set_membership` sets, at the worst step, by the margin on the noise: {tried}.", ""]
+        tried = ", ".join(
+            f"{m.factor:g}: {100 * m.share:.2f} % (step {m.step}), {100 * m.contradicted:.1f} % contradicted"
+            for m in held.margins
+        )
+        lines += [
+            f"States in `set_membership` sets at the worst step and contradicted tubes, by margin on the noise: {tried}.",
+            "",
+        ]
     lines += _steps(held)
     for name, method in held.figures.items():
         lines += [f"### {name}, by run", "", *_runs(method.runs), ""]

@@ -7,6 +7,7 @@ import numpy as np
 from reach_server.calibrated.features import ahead, clean, complete, present, range_regressors, size_regressors, turned
 from reach_server.calibrated.ridge import first_columns, increments_of, standardise
 from reach_server.calibrated.scores import Codes, Scores, encoded, renew_margins, score_of, tube_score, write
+from reach_server.calibrated.sizing import LEAST_SIZE
 from reach_server.calibrated.store import Model, Record, Waiting
 from reach_server.calibrated.terms import Samples, Terms
 from reach_server.sets.arrays import Array, Mask
@@ -198,7 +199,8 @@ def _reveals_glitch(
             far = i
     before = last[far] if waiting.last_number[slot] == number - 1 else 0.0
     for i in range(terms.n):
-        last[i] = error[i] / (record.margin[slot, 0] * waiting.size[slot, row, 0, i])
+        # The boxes of a vehicle that stands still may be points.
+        last[i] = error[i] / max(record.margin[slot, 0] * waiting.size[slot, row, 0, i], LEAST_SIZE)
     found = abs(before) > GLITCH and abs(last[far]) > 1.0 and last[far] * before < 0.0
     waiting.last_number[slot] = -1 if found else number
     return bool(found)

@@ -13,7 +13,8 @@ state with probability at least the profile's ``confidence`` [VGS05, section 2.2
     set: p̂_h ± R(θ_k) diag(s_h a_h)
 
 Predictions are scored h samples later. What the window shows of the time before there was a model, out-of-fold errors
-say: no datum judges a model that has seen it.
+say: no datum judges a model that it was fitted to, though errors of neighbouring samples overlap at the borders of
+folds.
 """
 
 import zlib
@@ -33,6 +34,7 @@ from reach_server.factor_sets import FactorSet
 from reach_server.regression import Layout
 from reach_server.rows import with_room
 from reach_server.sets.arrays import Array, Mask
+from reach_server.shortage import samples_missing
 from reach_server.windows import Ints, Window
 
 #: A model is solved again after this many samples.
@@ -279,11 +281,9 @@ class Calibrated:
         waiting = np.flatnonzero(~self.ready(slots))
         if len(waiting):
             slots = slots[waiting]
-            place = (self._window.count[slots] - 1) % self._window.size
-            run = np.where(self._window.count[slots] > 0, self._window.columns().run[slots, place], -1)
             # A sample is a datum when it has a past of ``reach`` samples and a future of N.
-            before_first = np.maximum(self._terms.reach + self._terms.horizon - 1 - run, 0)
-            missing[waiting] = np.maximum(self.least - self._data(slots), 1) + before_first
+            links = self._terms.reach + self._terms.horizon
+            missing[waiting] = np.maximum(samples_missing(self._window, slots, self._data(slots), self.least, links), 1)
         return missing
 
     def predict(self, slots: Slots, plan: Array | None, remember: bool = True) -> Boxes:

@@ -17,6 +17,7 @@ from reach_server.plans import StraightPlan
 from reach_server.regression import Layout, transitions
 from reach_server.rows import scatter, take, with_room
 from reach_server.served import KnownInputs, Served
+from reach_server.shortage import samples_missing
 from reach_server.straight import StraightTubes
 from reach_server.windows import Block, Window
 
@@ -78,7 +79,9 @@ class Linear:
     def learn(self, slots: Slots) -> None:
         """See ``Method``."""
         count = self._window.count[slots]
-        due = slots[(self._fitted_at[slots] == 0) | (count - self._fitted_at[slots] >= REFIT_EVERY)]
+        # The window of a vehicle that came back with an older epoch counts anew.
+        fitted_at = self._fitted_at[slots] = np.where(count < self._fitted_at[slots], 0, self._fitted_at[slots])
+        due = slots[(fitted_at == 0) | (count - fitted_at >= REFIT_EVERY)]
         due = due[self._window.filled(due) > self._least]
         if not len(due):
             return
@@ -92,8 +95,8 @@ class Linear:
 
     def missing(self, slots: Slots) -> NDArray[np.int64]:
         """See ``Method``."""
-        lacking = np.maximum(self._least + 1 + self._layout.lags - self._window.filled(slots), 1)
-        return np.asarray(np.where(self._fitted_at[slots] > 0, 0, lacking))
+        lacking = samples_missing(self._window, slots, self._data[slots], self._least, self._layout.lags + 1)
+        return np.asarray(np.where(self._fitted_at[slots] > 0, 0, np.maximum(lacking, 1)))
 
     def glitches(self) -> list[tuple[int, int]]:
         """None: stated bounds hold for every sample."""

@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from benchmarks.fleets import linear
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import Audit, EventKind, Label, StateFlag, VehicleProfile, parse_profile
 from reach_server.engine import Engine, KnownInputs
@@ -485,3 +486,38 @@ def test_frozen_engines_learn_nothing_more() -> None:
         tubes, other = (e.step(samples_of(drive, k, k + 1), plan_of([drive], k)) for e in (engine, frozen))
         assert_holds(other, 0, drive.truth[k + 1 : k + 11])
     assert (tubes.area != other.area).any()
+
+
+@pytest.mark.parametrize("value", [1e31, np.nan, -np.inf])
+def test_a_sample_that_is_refused_says_nothing_about_a_set(value: float) -> None:
+    drive = history(1)
+    engine = engine_of()
+    engine.append(samples_of(drive, 0, NOW))
+    engine.step(samples_of(drive, NOW, NOW + 1), plan_of([drive], NOW))
+    wrong = samples_of(drive, NOW + 1, NOW + 2)
+    wrong.x[0, 0] = value
+    appended, events = engine.append(wrong)
+    assert (appended.stored, appended.not_finite, events) == (0, 1, ())
+    assert engine.audit_of("car-0").checked == 0
+    tubes = engine.step(samples_of(drive, NOW + 2, NOW + 6), plan_of([drive], NOW + 5))
+    assert tubes.labels == (Label.GUARANTEED,)
+
+
+def test_linear_models_begin_anew_with_the_window() -> None:
+    """An agent whose clock was set back comes with an older epoch, and its window begins anew."""
+    system = linear(500, 2, window=60)
+    engine = Engine(system.profile, method="lti")
+    engine.add("vehicle")
+    for k in range(200):
+        engine.append(system.batch(1, k))
+    assert engine.predict(np.array([0]), KnownInputs(system.plan(1, 199), np.zeros((1, 2)))).vehicles
+    engine.window.clear(0)
+    for k in range(200, 300):
+        engine.append(system.batch(1, k))
+    fresh = Engine(system.profile, method="lti")
+    fresh.add("vehicle")
+    for k in range(200, 300):
+        fresh.append(system.batch(1, k))
+    known = KnownInputs(system.plan(1, 299), np.zeros((1, 2)))
+    tubes, wanted = (one.predict(np.array([0]), known) for one in (engine, fresh))
+    np.testing.assert_array_equal(tubes.area, wanted.area)
