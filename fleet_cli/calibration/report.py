@@ -116,7 +116,7 @@ def _held_out(held: HeldOut) -> list[str]:
             for m in held.margins
         )
         lines += [
-            f"States in `set_membership` sets at the worst step and contradicted tubes, by margin on the noise: {tried}.",
+            f"States in `set_membership` sets at the worst step, and contradicted tubes, by margin: {tried}.",
             "",
         ]
     lines += _steps(held)
