@@ -26,7 +26,7 @@ help:
 demo: $(VENV)/.compiled
 	@$(BIN)/fleet demo $(ARGS)
 
-test: lint docs
+test: lint docs $(VENV)/.all-compiled
 	@$(BIN)/python -m pytest -q $(ARGS)
 
 lint: $(VENV)/.dev
@@ -67,6 +67,10 @@ $(VENV)/.project: pyproject.toml $(VENV)/.runtime $(wildcard */py.typed)
 # Kernels are compiled at their first call; the first demo need not wait for that in the middle of a drive.
 $(VENV)/.compiled: $(VENV)/.project
 	@$(BIN)/python -m reach_server.warm_up set_membership
+	@touch $@
+
+$(VENV)/.all-compiled: $(VENV)/.dev
+	@$(BIN)/python -m reach_server.warm_up
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.project

@@ -24,8 +24,8 @@ def run(quick: bool) -> Table:
     """Microseconds a vehicle and update, each number varied alone."""
     rows: list[tuple[Cell, ...]] = []
     for axis, values in AXES.items():
-        for value in values[:2] if quick else values:
-            sizes = {"window": 400 if quick else WINDOW, "horizon": HORIZON, "vehicles": 5 if quick else VEHICLES,
+        for value in values[:1] if quick else values:
+            sizes = {"window": 400 if quick else WINDOW, "horizon": HORIZON, "vehicles": 2 if quick else VEHICLES,
                      "predicates": PREDICATES, "dimension": 0, axis: value}  # fmt: skip
             window, horizon = sizes["window"], sizes["horizon"]
             length = samples(window, horizon, UPDATES)

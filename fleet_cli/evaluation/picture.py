@@ -54,7 +54,7 @@ def _coverage(axis: Axes, figures: Mapping[str, MethodFigures], profile: Vehicle
     axis.axhline(100 * profile.confidence, color="0.4", lw=0.8, ls="--", label="confidence of the profile")
     axis.set_xlabel("step")
     axis.set_ylabel("measured states inside [%]")
-    axis.set_ylim(top=100.4)
+    axis.set_ylim(top=100.1)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
@@ -91,7 +91,7 @@ def _over_time(axis: Axes, figures: Mapping[str, MethodFigures], profile: Vehicl
     allowed = 100 * (1 - binomial_band(ROLLING, 1 - profile.confidence) / ROLLING)
     axis.axhspan(allowed, 100, color="0.93", zorder=0)
     axis.axhline(100 * profile.confidence, color="0.4", lw=0.8, ls="--")
-    axis.set_ylim(top=100.4)
+    axis.set_ylim(top=100.1)
     axis.set_xlabel("tested sample")
     axis.set_ylabel("inside at step 1 [%]")
     title = f"over the newest {ROLLING} checks; shaded: what the confidence explains; ticks: events"
