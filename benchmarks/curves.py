@@ -23,10 +23,11 @@ UNITS = {"window": "T", "horizon": "N", "vehicles": "V", "predicates": "P", "dim
 def run(quick: bool) -> Table:
     """Microseconds a vehicle and update, each number varied alone."""
     rows: list[tuple[Cell, ...]] = []
+    usual = {"window": 400 if quick else WINDOW, "horizon": HORIZON, "vehicles": 2 if quick else VEHICLES,
+             "predicates": PREDICATES, "dimension": 0}  # fmt: skip
     for axis, values in AXES.items():
         for value in values[:1] if quick else values:
-            sizes = {"window": 400 if quick else WINDOW, "horizon": HORIZON, "vehicles": 2 if quick else VEHICLES,
-                     "predicates": PREDICATES, "dimension": 0, axis: value}  # fmt: skip
+            sizes = {**usual, axis: value}
             window, horizon = sizes["window"], sizes["horizon"]
             length = samples(window, horizon, UPDATES)
             changes = {"window": window, "horizon": horizon}
@@ -36,8 +37,8 @@ def run(quick: bool) -> Table:
                 rows.append((axis, value, method, found.median / sizes["vehicles"] * 1e6))
     return Table(
         "How the cost of an update grows",
-        f"Where not varied: window of {WINDOW}, horizon {HORIZON}, {VEHICLES} vehicles in one batch, {PREDICATES} "
-        "predicates, the car of 4 states in the body frame; over the dimension linear systems in the world frame.",
+        f"Where not varied: window of {usual['window']}, horizon {HORIZON}, {usual['vehicles']} vehicles in one batch, "
+        f"{PREDICATES} predicates, the car of 4 states in the body frame; over the dimension linear systems in the world frame.",
         ("varied", "to", "method", "µs a vehicle and update"),
         rows,
     )
