@@ -38,7 +38,8 @@ def run(quick: bool) -> Table:
     return Table(
         "How the cost of an update grows",
         f"Where not varied: window of {usual['window']}, horizon {HORIZON}, {usual['vehicles']} vehicles in one batch, "
-        f"{PREDICATES} predicates, the car of 4 states in the body frame; over the dimension linear systems in the world frame.",
+        f"{PREDICATES} predicates, the car of 4 states in the body frame; over the dimension linear systems in the "
+        "world frame.",
         ("varied", "to", "method", "µs a vehicle and update"),
         rows,
     )
