@@ -176,11 +176,12 @@ class Engine:
             for slot, t in self._method.glitches()
         ]
         served, limited, waiting = self._serve(slots, known)
-        found: list[Tubes] = []
+        parts: list[Tubes] = []
         if len(served.slots):
-            found.append(self._tubes(served, events, waiting))
+            parts.append(self._tubes(served, events, waiting))
         if len(limited.slots):
-            found.append(self._tubes_from_limits(limited, waiting))
+            parts.append(self._tubes_from_limits(limited, waiting))
+        found = [part for part in parts if part.vehicles]
         if not found:
             return replace(self._no_tubes(waiting), events=tuple(events))
         return replace(found[0] if len(found) == 1 else Tubes.together(found), events=tuple(events), waiting=waiting)

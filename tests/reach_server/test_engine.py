@@ -521,3 +521,18 @@ def test_linear_models_begin_anew_with_the_window() -> None:
     known = KnownInputs(system.plan(1, 299), np.zeros((1, 2)))
     tubes, wanted = (one.predict(np.array([0]), known) for one in (engine, fresh))
     np.testing.assert_array_equal(tubes.area, wanted.area)
+
+
+def test_a_vehicle_without_a_model_waits_while_others_are_served() -> None:
+    engine = engine_of(SMALL, 3)
+    engine.append(samples_of(history(1), 0, NOW, 1))
+    few, enough = samples_of(history(0), 0, 6), samples_of(history(1), NOW, NOW + 1, 1)
+    wild = samples_of(history(2), 0, NOW, 2)
+    huge = SampleBatch(wild.vehicle, wild.epoch, wild.seq, wild.t, wild.flags, 1e29 * wild.x, wild.u)
+    tubes = engine.step(SampleBatch.join([few, enough, huge]))
+    assert "car-1" in tubes.vehicles
+    assert set(tubes.vehicles) | set(tubes.waiting) == {"car-0", "car-1", "car-2"}
+    alone = engine_of(SMALL)
+    alone.append(samples_of(history(1), 0, NOW))
+    (area,) = alone.step(samples_of(history(1), NOW, NOW + 1)).area
+    np.testing.assert_array_equal(tubes.area[tubes.vehicles.index("car-1")], area)
