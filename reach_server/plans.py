@@ -168,7 +168,8 @@ class Plans:
                 np.concatenate([before.upper, strips.upper]),
                 np.concatenate([before.literal, np.full(len(strips.lower), literal, dtype=np.intp)]),
                 np.concatenate([before.planar, planar]),
-                np.concatenate([before.flat, strips.normal[:, list(plane)]]),
+                # In the order that kernels are compiled for, whatever indexing makes of it.
+                np.ascontiguousarray(np.concatenate([before.flat, strips.normal[:, list(plane)]])),
             )
 
 

@@ -22,8 +22,8 @@ scenario: warm-up
 version: 1
 state: {x: m, v: m/s}
 time: {zero: on_start, semantics: sampled}
-regions: {S: {box: {v: [-9, 9]}}, L: "sqrt(x * x + 1) <= 1000"}
-assume: always[0:1000 s](S) and always[0:5 s](L)
+regions: {S: {box: {x: [-999, 999], v: [-9, 9]}}, L: "1000 - sqrt(x * x + 1) >= 0"}
+assume: always[0:1000 s](S) and always[20.5 s:22 s](L)
 """
 
 
