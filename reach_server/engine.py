@@ -249,8 +249,7 @@ class Engine:
         )
         slots = served.slots.tolist()
         deficient = self._method.rank_deficient(served.slots)
-        contradicted = self._assignments.contradicted()
-        against = np.array([slot in contradicted for slot in slots], dtype=bool)
+        against = np.isin(served.slots, sorted(self._assignments.contradicted()))
         wrong = self._record.falsified[served.slots] | reach.excluded
         if self._labels.audited:
             wrong = wrong | self._record.outside[served.slots]

@@ -80,7 +80,8 @@ class Method(Protocol):
         """Why some of the vehicles (B,), which have models, cannot be served now."""
 
     def glitches(self) -> list[tuple[int, int]]:
-        """Slots of vehicles of which a sample turned out to be a glitch since the last call, each with a stamp."""
+        """Slots of vehicles of which a sample turned out to be a glitch since the last call, each with the stamp of the
+        sample that told so."""
 
     def rank_deficient(self, slots: Slots) -> NDArray[np.bool_]:
         """Of which vehicles that are served the data does not determine the model."""
