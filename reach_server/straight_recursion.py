@@ -103,7 +103,9 @@ def straight_tubes(
     """Tubes of the vehicles of some ``rows`` (B,) of a motion, which begin at ``start`` (all vehicles, n, without rows
     of constraints), cut by what is planned for them (B). ``cuts`` is ``zonotope`` or ``frobenius``; outer bounds."""
     inputs, rules, strips = motion.inputs, motion.rules, plan.strips
-    given = Given(*map(np.ascontiguousarray, (start.center, start.generators, inputs.past, inputs.center, inputs.half)))
+    # One kind of array, or each kind is compiled when it comes first: one set for all vehicles is read-only.
+    arrays = (start.center, start.generators, inputs.past, inputs.center, inputs.half)
+    given = Given(*(np.require(array, requirements=("C", "W")) for array in arrays))
     asked = Strips(
         plan.active, strips.normal, strips.lower, strips.upper, strips.planar, strips.flat, plane,
         cuts == "frobenius", WAYS,

@@ -11,6 +11,7 @@ import numpy as np
 from fleet_bus.messages import VehicleProfile, parse_profile
 from reach_server.engine import Engine, KnownInputs
 from reach_server.sets import support
+from reach_server.sets.planar import zonotope_area
 from reach_server.windows import SampleBatch
 from side_info import Scenario
 
@@ -80,6 +81,7 @@ def main(methods: Sequence[str] = METHODS) -> int:
                 )
                 engine.step(batch, KnownInputs(u[None, last : last + engine.horizon - 1], np.zeros((1, 2))))
     support.warm_up()
+    zonotope_area(np.zeros((1, 2, 1)))
     return 0
 
 
