@@ -153,7 +153,8 @@ def _shift_lags(
     m = rules.m
     for row in range(n + rules.lags * m - 1, n - 1, -1):
         center[row] = center[row - m] if row >= n + m else u[row - n]
-    if live == n:
+    # Without lags the rows that are live beside the states are those of constraints, which stay what they are.
+    if live == n or rules.lags == 0:
         return
     for row in range(n + rules.lags * m - 1, n + m - 1, -1):
         for k in range(used):

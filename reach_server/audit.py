@@ -52,9 +52,9 @@ def bands(alpha: float) -> tuple[Ints, Ints]:
 def inside(
     predicted: FactorSet, measurement: Floats, y: Floats, angles: tuple[int, ...]
 ) -> tuple[NDArray[np.bool_], Floats]:
-    """Whether each measured state (B, n) lies in its set enlarged by ``measurement`` (n, g), up to 1e-7 of the set, and
-    by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of that
-    component; 0 inside, and where only constraints exclude the state. Angles are compared modulo 2π."""
+    """Whether each measured state ``y`` (B, n) lies in its set enlarged by ``measurement`` (n, g): exact up to 1e-7 of
+    the set; and by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of
+    that component; 0 inside, and where only constraints exclude the state. Angles are compared modulo 2π."""
     generators, matrix = predicted.generators, predicted.matrix
     if measurement.shape[1]:
         generators = stack_columns(generators, measurement)

@@ -9,7 +9,7 @@ the regressors, two data differ by at most
 
 Conversely, where (1) holds the bounds of set membership never cross, whatever set of regressors is asked about: for its
 distances D from two data, ``D_jc + D_kc >= |z_j - z_k|_c + 2 ζ_c``. Data and bounds do not contradict each other then;
-with ζ = 0 there is such an e [MN04, theorem 1]. All of this by component: where N is no box, residuals are bounded in
+with ζ = 0 there is such an e [MN04]. All of this by component: where N is no box, residuals are bounded in
 slanted directions, too, of which (1) says nothing; a margin on w does.
 
 Of all pairs (w, L) that satisfy (1) the one of least expected width is taken,
@@ -57,15 +57,16 @@ class ConsistentBounds:
     kept: NDArray[np.bool_]
 
     def derivatives(self, matrix: Floats) -> tuple[Floats, Floats]:
-        """Lower and upper bounds (n, p) of the derivatives of the dynamics that follow, for the matrices (V, n, 1 + p)
-        that the bounds were taken with. In this form they outlast a refit: slopes of the residual function belong to
+        """Lower and upper bounds (n, p) of the derivatives of the dynamics that follow, for the ``matrix`` (V, n, 1 +
+        p) that the bounds were taken with. In this form they outlast a refit: slopes of the residual function belong to
         one matrix."""
         slopes = matrix[..., 1:]
         return (slopes - self.slope).min(axis=0), (slopes + self.slope).max(axis=0)
 
 
 def consistent_bounds(data: Transitions, layout: Layout, matrix: Floats, z_v: Floats) -> ConsistentBounds:
-    """Bounds of least expected width that agree with all pairs of transitions of each of V vehicles; no guarantee.
+    """Bounds of least expected width that agree with all pairs of transitions of each of V vehicles: a hypothesis, no
+    guarantee (mathematics, 2.9) [MN04, Kel60].
 
     ``matrix`` (V, n, 1 + p) are the models of the vehicles, ``z_v`` (n,) half-widths of the measurement noise. Raises
     ``UsageError`` where a vehicle has less than two usable transitions.

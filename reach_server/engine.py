@@ -33,7 +33,10 @@ Slots = NDArray[np.intp]
 
 
 class Engine:
-    """Reachable sets of the vehicles of one class.
+    """Reachable sets of the vehicles of one class: windows, models, tubes and audit, arrays in, arrays out.
+
+    What a set claims is the label of its tube: outer where ``guaranteed``, a rate where ``calibrated``, else nothing.
+    All times are ns since the Unix epoch, all states and inputs in the units of the profile. Not for several threads.
 
     Args:
         profile: the class.
@@ -116,7 +119,8 @@ class Engine:
         return slot
 
     def reset(self, vehicle: str) -> None:
-        """Forget samples, model and record of a vehicle; its slot and its scenarios stay."""
+        """Forget samples, model and record of a vehicle; its slot and its scenarios stay. Raises ``KeyError`` for one
+        that was never added."""
         slot = self._slots[vehicle]
         self.window.clear(slot)
         self._method.reset(slot)
@@ -124,7 +128,11 @@ class Engine:
         self._excluded.discard(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
-        """Cut the tubes of a vehicle by a scenario from now on; raise ``ScenarioError`` if its states do not fit."""
+        """Cut the tubes of a vehicle by a scenario from now on.
+
+        ``time_zero`` is in ns since the Unix epoch, ``clock_offset`` (s) bounds how far the two clocks differ. Raises
+        ``ScenarioError`` if the states of the scenario do not fit those of the profile.
+        """
         for slot in self._assignments.assign(self.add(vehicle), scenario, time_zero, clock_offset):
             # What another scenario has cut must not be held against this one.
             self._record.predictions.drop(slot)
@@ -136,7 +144,8 @@ class Engine:
         self._record.predictions.drop(slot)
 
     def audit_of(self, vehicle: str) -> Audit:
-        """One-step predictions of a vehicle that were checked, and how many held."""
+        """One-step predictions of a vehicle that were checked, and how many held. Raises ``KeyError`` for one that was
+        never added."""
         return self._record.audit(self._slots[vehicle])
 
     def window_filled(self) -> NDArray[np.int64]:
@@ -160,14 +169,16 @@ class Engine:
     def step(self, batch: SampleBatch, known: KnownInputs | None = None) -> Tubes:
         """Store samples and return the tubes from the newest sample of each vehicle in the batch.
 
-        ``known`` has one row per vehicle, in ascending order of slots.
+        ``known`` has one row per vehicle, in ascending order of slots. Vehicles without a tube are in ``waiting``, with
+        the reason.
         """
         _, events = self.append(batch)
         tubes = self.predict(np.unique(batch.vehicle), known)
         return replace(tubes, events=events + tubes.events)
 
     def predict(self, slots: Slots, known: KnownInputs | None = None) -> Tubes:
-        """Tubes from the newest samples of some slots (ascending); ``known`` has one row per slot."""
+        """Tubes from the newest samples of the vehicles in ``slots`` (B,), ascending; ``known`` has one row per
+        slot."""
         events = self._receive(slots)
         if not self.frozen:
             self._method.learn(slots)

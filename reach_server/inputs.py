@@ -19,9 +19,9 @@ def future_inputs(
 ) -> InputSets:
     """Boxes of the inputs of steps 0 to N-1 for B vehicles.
 
-    ``past`` (B, lags, m) newest first and ``current`` (B, m) are known points; where the current one is not known
-    (B,) it may be anything within the limits. Later inputs: the ``plan`` (B, N - 1, m) with its ``tolerance`` (B, m)
-    if one is given, else the limits, narrowed by ``future_inputs: rate`` to what the rate limit lets the input
+    ``past`` (B, lags, m) newest first and ``current`` (B, m) are known points; where ``current_known`` (B,) is False
+    the current one may be anything within the limits. Later inputs: the ``plan`` (B, N - 1, m) with its ``tolerance``
+    (B, m) if one is given, else the limits, narrowed by ``future_inputs: rate`` to what the rate limit lets the input
     reach from the current one. An outer bound of the inputs as long as limits, rates and plan are kept.
     """
     vehicles, m = current.shape

@@ -83,7 +83,7 @@ class LinearModels:
 
 
 def fit(data: Transitions, layout: Layout, bounds: NoiseBounds, lipschitz: Lipschitz | None = None) -> LinearModels:
-    """All linear models of V vehicles that agree with their transitions; outer where ``determined``.
+    """All linear models of V vehicles that agree with their transitions: outer where ``determined`` [AKA+21].
 
     Raises ``UsageError`` for a layout in the body frame.
     """
@@ -225,13 +225,14 @@ class LinearMotion:
         return steps
 
     def begin(self, start: FactorSet, vehicle: NDArray[np.intp]) -> FactorSet:
-        """Sets (R, n) of states now, joined by the past inputs of their vehicles (R,)."""
+        """Sets (R, n) of states now, joined by the past inputs of the vehicles ``vehicle`` (R,) they are of: exact."""
         past = self.inputs.past[vehicle].reshape(len(vehicle), -1)
         generators = np.pad(start.generators, [(0, 0), (0, past.shape[1]), (0, 0)])
         return FactorSet(np.concatenate([start.center, past], axis=1), generators, start.matrix, start.offset)
 
     def advance(self, sets: FactorSet, k: int, vehicle: NDArray[np.intp]) -> tuple[FactorSet, NDArray[np.bool_]]:
-        """Sets (R) after step ``k`` (from 0) of the vehicles (R,), outer; and where no linear model fits the data."""
+        """Sets (R, n) after step ``k`` (from 0) of the vehicles ``vehicle`` (R,) they are of: outer; and where (R,) no
+        linear model fits the data."""
         n, m, lagged = self.layout.n, self.layout.m, self.layout.lags * self.layout.m
         rows, _, g = sets.generators.shape
         center = np.concatenate([sets.center[:, :n], self.inputs.center[vehicle, k], sets.center[:, n:]], axis=1)

@@ -41,7 +41,7 @@ FULL_RANK = 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseBounds:
-    """Generators (n, g) of the process noise (in the frame of the model) and of the measurement noise."""
+    """Generators of the noise: ``process`` (n, g) in the frame of the model, ``measurement`` (n, h)."""
 
     process: Floats
     measurement: Floats
@@ -135,7 +135,8 @@ def apply(matrix: Floats, z: Floats) -> Floats:
 
 
 def fit(data: Transitions, layout: Layout, bounds: NoiseBounds, lipschitz: Lipschitz | None) -> Model:
-    """Fit and bound the models of V vehicles by all of their data. Every vehicle needs a usable transition at least."""
+    """Least-squares models of V vehicles, bounded by all of their data. Every vehicle needs a usable transition at
+    least. Any matrix is sound (mathematics, 2.2); the bounds are outer if those that are given hold."""
     matrix, deficient = least_squares(data)
     residual = data.target - apply(matrix, data.z)
     usable = data.usable[..., None]
@@ -163,9 +164,11 @@ def regressor_noise(layout: Layout, bounds: NoiseBounds, vehicles: int) -> Float
 
 
 def noise_set(matrix: Floats, largest: Floats, layout: Layout, bounds: NoiseBounds) -> Floats:
-    """Generators (V, n, n + g) of N, see the head of this module; the first n a box.
+    """Generators (V, n, n + g) of N, the first n a box: outer (mathematics, 2.3 and 2.4), rounding of the residuals
+    included.
 
-    ``largest`` (V, p + n): greatest magnitudes of regressors and targets among the data.
+    ``matrix`` (V, n, 1 + p) are the models, ``largest`` (V, p + n) the greatest magnitudes of regressors and targets
+    among the data.
     """
     vehicles, n, columns = matrix.shape
     other = bounds.measurement
@@ -204,7 +207,8 @@ def position_error(seen: Floats, layout: Layout, bounds: NoiseBounds) -> Floats:
 
 
 def thin_directions(noise: Floats) -> Floats:
-    """Directions (V, K, n) in which N is thinner than its box, thinnest first; zero where there are no more.
+    """Directions (V, K, n) in which N, of generators ``noise`` (V, n, n + g), is thinner than its box, thinnest first;
+    zero where there are no more.
 
     N is thin across its long generators: candidates are, for each generator and each pair of coordinates, the direction
     in that plane that is orthogonal to it; and the diagonals of a planar N. K is 0 if N is a box for the whole class.
@@ -254,7 +258,8 @@ def _thinnest(noise: Floats, half: Floats) -> Floats:
 
 
 def residual_slope(matrix: Floats, lipschitz: Lipschitz | None) -> Floats:
-    """L of the residual function (V, n, p): how fast dynamics and model can drift apart, per regressor."""
+    """L of the residual function (V, n, p) of the models ``matrix`` (V, n, 1 + p): how fast dynamics and model can
+    drift apart, per regressor. Outer if ``lipschitz`` is true (mathematics, 2.8); zero without it."""
     slopes = matrix[..., 1:]
     if lipschitz is None:
         return np.zeros(slopes.shape)
@@ -280,8 +285,9 @@ class ResidualSet:
 def residual_set(
     model: Model, center: Floats, half: Floats, *, membership: bool, plane: tuple[int, int] | None = None
 ) -> ResidualSet:
-    """Outer bound of e on the boxes ``center ± half`` (V, p) of regressors (``residuals``): the residual hull, or
-    what set membership leaves of it; sizes are compared by the area in the ``plane`` where one is named."""
+    """Outer bound of e on the boxes of regressors with ``center`` (V, p) and half-widths ``half`` (V, p): the residual
+    hull (mathematics, 2.5; Algorithm 1 of [AJS+22], corrected), or with ``membership`` what set membership leaves of it
+    (2.6) [MN04]; sizes are compared by the area in the ``plane`` where one is named."""
     first, second = plane or ((0, 1) if model.low.shape[1] == 2 else (-1, -1))
     return ResidualSet(
         *residual_sets(

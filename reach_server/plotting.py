@@ -88,7 +88,8 @@ def draw_bands(
     """Add the range of one coordinate over ``times`` (K,) to ``axis``: bars at the times, and a pale band between them.
 
     Only the bars are bounds: about the motion between two times a tube says nothing. The bars end at the interval hull.
-    An empty set leaves a gap. ``style`` goes to both artists; ``alpha`` to the band, ``label`` to the bars.
+    An empty set leaves a gap. ``style`` goes to both artists; ``alpha`` to the band, ``label`` to the bars. Raises
+    ``SetError`` for times that are not one per set, and for a coordinate that a set does not have.
     """
     moments = checked(times, "times", (None,))
     steps = list(_each(sets))

@@ -64,7 +64,10 @@ class Printed:
     def tube(
         self, start: tuple[Floats, Floats], inputs: list[tuple[Floats, Floats]], kept: int = 32
     ) -> list[tuple[Floats, Floats]]:
-        """The sets of the steps that the inputs are for, each reduced to ``kept`` generators and a box."""
+        """The sets of the steps that the inputs are for, each reduced to ``kept`` generators and a box: no outer bound.
+
+        ``start`` and each of ``inputs`` are a center and generators, (n,) and (n, g), (m,) and (m, g).
+        """
         found = []
         for known in inputs:
             center, generators = self.step(start, known)

@@ -65,7 +65,7 @@ class Recursion:
         return steps
 
     def begin(self, start: FactorSet, vehicle: NDArray[np.intp]) -> FactorSet:
-        """Sets (R, n) of states now, joined by the past inputs of their vehicles (R,)."""
+        """Sets (R, n) of states now, joined by the past inputs of the vehicles ``vehicle`` (R,) they are of: exact."""
         rows, g = len(vehicle), start.generators.shape[-1]
         past = self.inputs.past[vehicle].reshape(rows, -1)
         return FactorSet(
@@ -76,7 +76,8 @@ class Recursion:
         )
 
     def advance(self, sets: FactorSet, k: int, vehicle: NDArray[np.intp]) -> tuple[FactorSet, NDArray[np.bool_]]:
-        """Sets (R) after step ``k`` (from 0) of the vehicles (R,), outer; and where the data excludes the bounds."""
+        """Sets (R, n) after step ``k`` (from 0) of the vehicles ``vehicle`` (R,) they are of: outer; and where (R,) the
+        data excludes the bounds."""
         first = max(sets.matrix.shape[1] - MAX_ROWS, 0)
         matrix, offset = sets.matrix[:, first:], sets.offset[:, first:]
         lifted = np.concatenate([sets.generators, matrix], axis=1)

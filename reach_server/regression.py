@@ -98,7 +98,7 @@ def lagged_inputs(block: Block, layout: Layout) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transitions:
-    """Regressors ``z`` (B, T, p), targets (B, T, n) and which rows are usable (B, T); ``newest`` state (B, n).
+    """Regressors ``z`` (B, T, p), ``target`` (B, T, n) and which rows are ``usable`` (B, T); ``newest`` state (B, n).
 
     In the world frame the target is the next state, in the body frame the increment. Angles are continued along
     each trajectory, so ``newest`` says which turn they are in.

@@ -49,8 +49,9 @@ class Reservoir:
         self.revision[slot] += 1
 
     def offer(self, slots: NDArray[np.intp], z: Floats, target: Floats, scale: Floats) -> None:
-        """Offer transitions (B) of some vehicles, with the standard deviations (B, p) of the regressors in their
-        windows; rows that are not finite are passed over."""
+        """Offer a transition of each of the vehicles in ``slots`` (B,): regressors ``z`` (B, p) and ``target`` (B, n);
+        ``scale`` (B, p) are the standard deviations of the regressors in their windows. Rows that are not finite are
+        passed over."""
         if not self.size:
             return
         _offer(
@@ -60,7 +61,8 @@ class Reservoir:
         )  # fmt: skip
 
     def rows(self, slots: NDArray[np.intp]) -> tuple[Floats, Floats, Ints]:
-        """Regressors (B, R, p), targets (B, R, n) and how many of the rows are held (B,), of some vehicles."""
+        """Regressors (B, R, p), targets (B, R, n) and how many of the rows are held (B,), of the vehicles in ``slots``
+        (B,)."""
         return self.z[slots], self.target[slots], self.held[slots]
 
 

@@ -15,7 +15,7 @@ radius of the paper, and needs no covering assumption: far from all data it is l
 the same j: with the least drift of each a correlated N would lose values. Taken is the j of least drift, measured by
 the widths of hull and N.
 
-*Set membership* [MN04, theorem 2]: (1) holds for all data at once, so that in every direction d
+*Set membership* [MN04]: (1) holds for all data at once, so that in every direction d
 
     max_j (d·r_j - Σ_i |d_i| drift_ji) - |dᵀN|₁ <= d·e <= min_j (d·r_j + Σ_i |d_i| drift_ji) + |dᵀN|₁
 

@@ -14,7 +14,8 @@ from reach_server.windows import Floats, Ints
 
 @dataclass(frozen=True, slots=True)
 class EngineEvent:
-    """Something that happened to one vehicle in one step."""
+    """Something that happened to one vehicle in one step, at the sample of stamp ``t`` (ns); what ``details`` hold for
+    each kind is on the page of the wire, under Event."""
 
     kind: EventKind
     vehicle: str
@@ -25,11 +26,24 @@ class EngineEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tubes:
-    """Tubes of B vehicles: ``steps`` holds the sets of steps 1 to N, ``free`` those without side information.
+    """Tubes of B vehicles, each over N steps: what ``labels`` says of a vehicle is claimed of its sets.
 
-    ``area`` and ``area_free`` (B, N), ``outline`` (B, N, K, 2) and ``hull`` (B, N, 2, n) as in ``Figures``;
-    ``labels``, ``methods``, ``cuts``, ``notes`` and ``verdicts`` one entry a vehicle; ``waiting`` says why other
-    vehicles of the batch got no tube.
+    Attributes:
+        vehicles: ids.
+        epoch, seq: (B,) which sample a tube starts from.
+        t: (B,) stamp of that sample, ns.
+        times: (B, N) of the sets, ns.
+        steps: sets of steps 1 to N, each of all B vehicles; constrained ones with ``cuts: constrained``.
+        free: the same without side information.
+        area: (B, N) of the position sets, cut once more by the predicates on the position that acted, in the squared
+            unit of the position: exact of zonotopes, outer of constrained ones.
+        area_free: (B, N) the same without side information.
+        outline: (B, N, K, 2) vertices of a polygon around these position sets, counter-clockwise, relative to the
+            center of the step: outer.
+        hull: (B, N, 2, n) least and greatest value of each state, relative to the center of the step: outer.
+        labels, methods, cuts, notes, verdicts: one entry a vehicle.
+        events: what happened in this step, to any vehicle of the batch.
+        waiting: by id, why other vehicles of the batch got no tube.
     """
 
     vehicles: tuple[str, ...]

@@ -12,7 +12,8 @@ from reach_server.windows import Block, Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownInputs:
-    """Later inputs of a batch that are known: ``plan`` (B, N - 1, m), within ``tolerance`` (B, m)."""
+    """Later inputs of a batch that are known, in the units of the profile: those of steps 1 to N - 1, ``plan``
+    (B, N - 1, m), each within ``tolerance`` (B, m) of it."""
 
     plan: Floats
     tolerance: Floats

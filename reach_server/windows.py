@@ -17,9 +17,15 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBatch:
-    """Samples of several vehicles of one class: every array has one row per sample, in any order.
+    """B samples of several vehicles of one class: every array has one row per sample, in any order.
 
-    ``vehicle`` (B,) is a slot of the window; ``t`` ns; ``x`` (B, n); ``u`` (B, m); ``flags`` as in ``StateFlag``.
+    Attributes:
+        vehicle: (B,) slots of the window, see ``Engine.add``.
+        epoch, seq: (B,) which sample of the vehicle it is.
+        t: (B,) stamps, ns since the Unix epoch.
+        flags: (B,) see ``StateFlag``.
+        x: (B, n) states, in the units of the profile.
+        u: (B, m) inputs in force from ``t`` on, in the units of the profile; NaN where not known.
     """
 
     vehicle: NDArray[np.intp]
@@ -44,7 +50,7 @@ class SampleBatch:
         )
 
     def take(self, rows: NDArray[np.intp]) -> Self:
-        """The samples of some rows."""
+        """The samples of some ``rows`` (K,)."""
         taken: Self = take(self, rows)
         return taken
 
@@ -57,10 +63,11 @@ class SampleBatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Samples of some vehicles, oldest first: arrays (B, S, ·); ``valid`` (B, S) is False on the padding in front.
+    """S samples of each of B vehicles, oldest first.
 
-    ``angles`` of ``x`` are as received; ``linked`` (B, S) says that a sample follows the one before it: same
-    epoch, next seq, no new trajectory, sample interval within the tolerance.
+    ``t`` (B, S) ns, ``x`` (B, S, n) as received, ``u`` (B, S, m) zero where ``input_known`` (B, S) is False; ``valid``
+    (B, S) is False on the padding in front. ``linked`` (B, S) says that a sample follows the one before it: same epoch,
+    next seq, no new trajectory, sample interval within the tolerance.
     """
 
     t: Ints
@@ -188,12 +195,13 @@ class Window:
         self.revision[slot] += 1
 
     def gate(self, slots: NDArray[np.intp], places: NDArray[np.intp]) -> None:
-        """Mark samples (B,) as glitches, to be kept out of models; they stay so until they leave the window."""
+        """Mark the samples at ``places`` (B,) of ``slots`` (B,) as glitches, to be kept out of models; they stay so
+        until they leave the window."""
         self._ring.gated[slots, places] = True
         self.revision[slots] += 1
 
     def filled(self, slots: NDArray[np.intp]) -> Ints:
-        """Samples held (B,) for some vehicles."""
+        """Samples held (B,) of the vehicles in ``slots`` (B,)."""
         return np.minimum(self.count[slots], self.size)
 
     def append(self, batch: SampleBatch) -> Appended:
@@ -284,7 +292,7 @@ class Window:
         return (self.count[slots, None] + np.arange(-length, 0)) % self.size
 
     def block(self, slots: NDArray[np.intp], length: int | None = None) -> Block:
-        """The newest ``length`` samples (default: all places) of some vehicles, oldest first."""
+        """The newest ``length`` samples (default: all places) of the vehicles in ``slots`` (B,), oldest first."""
         length = length or self.size
         places = self._newest_places(slots, length)
         rows = slots[:, None]
@@ -298,14 +306,16 @@ class Window:
         )  # fmt: skip
 
     def recorded(self, slots: NDArray[np.intp], length: int) -> NDArray[np.bool_]:
-        """Which of the newest ``length`` samples of some vehicles (B, length) were recorded before their start."""
+        """Which of the newest ``length`` samples of the vehicles in ``slots`` (B,) were recorded before their start:
+        (B, length)."""
         flags = self._ring.flags[slots[:, None], self._newest_places(slots, length)]
         return np.asarray(flags & int(StateFlag.HISTORY) != 0)
 
     def newest(
         self, slots: NDArray[np.intp]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], Ints, NDArray[np.uint32]]:
-        """(epoch, seq, t, flags) of the newest sample of each vehicle; meaningless where none is held."""
+        """(epoch, seq, t, flags), each (B,), of the newest sample of the vehicles in ``slots`` (B,); meaningless where
+        none is held."""
         place = (self.count[slots] - 1) % self.size
         stored = self._ring
         return stored.epoch[slots, place], stored.seq[slots, place], stored.t[slots, place], stored.flags[slots, place]

@@ -20,11 +20,12 @@ _WORDS: Final = ("OR", "NOT", "IMPLIES", "ALWAYS", "EVENTUALLY", "UNTIL")
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """A formula; ``at`` is its place in the text it was read from, no part of its value.
+    """A formula of signal temporal logic [MaN04]; ``at`` is its place in the text it was read from, no part of its
+    value.
 
     ``str`` gives text in the canonical dialect, without parameters, that reads back as an equal formula. Formulas
     combine by ``&``, ``|``, ``~``, ``>>`` (implies) and the methods, whose windows are in seconds from now, both ends
-    included.
+    included; bounds that make no window raise ``ScenarioError``.
     """
 
     at: int = field(default=0, compare=False, repr=False, kw_only=True)

@@ -81,3 +81,4 @@ class NonlinearPredicate:
 
 
 Predicate = LinearPredicate | DiscPredicate | NonlinearPredicate
+"""What an atom of a formula can mean."""

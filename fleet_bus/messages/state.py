@@ -41,7 +41,7 @@ _ALL_FLAGS: Final = 0b1111
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateSample:
-    """State ``x`` (n) at time ``t`` and input ``u`` (m) in force from ``t`` on.
+    """State ``x`` (n,) at time ``t`` and input ``u`` (m,) in force from ``t`` on.
 
     Attributes:
         epoch: id of this start of the agent; ``(epoch, seq)`` names the sample.
@@ -50,9 +50,9 @@ class StateSample:
         x: filtered state, units of the profile.
         u: input in force from ``t`` on, units of the profile.
         flags: see ``StateFlag``.
-        bound: half-widths (n) of the error of ``x``, or None if the profile's bound holds.
+        bound: half-widths (n,) of the error of ``x``, or None if the profile's bound holds.
         plan: inputs (steps, m) the vehicle intends after ``u``, or None (no steps are sent as none).
-        plan_tolerance: half-widths (m) around the plan.
+        plan_tolerance: half-widths (m,) around the plan.
     """
 
     epoch: int
@@ -114,7 +114,8 @@ class StateSample:
 class StateBatch:
     """Samples of equal layout as arrays: ``index`` (B,) says which of the payloads given each row is.
 
-    ``bound`` is (B, n), ``plan`` (B, steps, m) and ``plan_tolerance`` (B, m), or None where no sample carries one.
+    ``epoch``, ``seq``, ``t`` (ns) and ``flags`` are (B,); ``x`` (B, n) and ``u`` (B, m) in the units of the profile;
+    ``bound`` (B, n), ``plan`` (B, steps, m) and ``plan_tolerance`` (B, m) are None where no sample carries one.
     """
 
     index: NDArray[np.intp]

@@ -57,12 +57,13 @@ class Audit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachTube:
-    """Sets of one vehicle at ``times`` (h), computed from the sample ``(epoch, seq)`` taken at ``t``.
+    """Sets of one vehicle at ``times`` (h,) in ns, computed from the sample ``(epoch, seq)`` taken at ``t`` (ns).
 
-    Every set is an outer bound: ``center`` (h, n) and ``generators`` (h, n, g) a zonotope, ``hull`` (h, 2, n) a
-    box relative to the center, ``outline`` (h, K, 2) a convex polygon of the two position states relative to the
-    center. ``area`` (h) is the area of that position set in squared position units, ``area_free`` the one without
-    side information.
+    What is claimed is what ``label`` says. Three forms hold all states that it speaks about, in the units of the
+    profile: ``center`` (h, n) and ``generators`` (h, n, g) a zonotope, ``hull`` (h, 2, n) a box relative to the center,
+    ``outline`` (h, K, 2) a convex polygon of the two position states relative to the center. Each is an outer bound of
+    the set that was computed. ``area`` (h,) is that of the position set, in squared position units, ``area_free`` (h,)
+    the one without side information.
     """
 
     vehicle: str

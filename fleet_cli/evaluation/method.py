@@ -20,8 +20,8 @@ from reach_server.results import Tubes
 from reach_server.sets.arrays import stack_columns
 from reach_server.windows import SampleBatch
 
-#: What may be taken as known about later inputs.
 INPUTS: Final = ("recorded", "limits", "rate", "learned")
+"""What may be taken as known about later inputs."""
 
 #: Sets that are joined and checked at once.
 _PART: Final = 500

@@ -19,7 +19,7 @@ FOLDS = 5
 #: Ridges to choose from, ascending.
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 #: The greatest ridge is taken whose out-of-fold errors exceed the least by no more than this part: it relies least on
-#: directions in which the data say little [BFOS84, section 3.4.3].
+#: directions in which the data say little [BFOS84].
 AS_GOOD = 0.05
 #: Units of features are at least this part of 1 + |mean|: what does not vary would have none.
 LEAST_UNIT = 1e-6

@@ -1,7 +1,7 @@
 """Calibrated sets of the vehicles of a class, in a stream of samples.
 
 What is claimed: if the errors to come are exchangeable with those on record, a set of step h holds the next measured
-state with probability at least the profile's ``confidence`` [VGS05, section 2.2]. For the newest sample k with features
+state with probability at least the profile's ``confidence`` [VGS05, chapter 2]. For the newest sample k with features
 φ_h (``terms``):
 
     d_{k+h} ≈ M_h φ_h                                  increment in the vehicle's own frame (or the world's)
@@ -49,7 +49,8 @@ Slots = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """How calibrated sets go on: each step has a box of its own, whatever cut the one before.
+    """How calibrated sets go on: each step has a box of its own, whatever cut the one before. It holds the state that
+    will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
 
     ``center`` (B, N, n); ``half`` (B, N, n) half-widths in the frame of the newest sample; ``generators`` (B, N, n, n)
     the same, turned to the world.
@@ -66,11 +67,11 @@ class Boxes:
         return steps
 
     def begin(self, start: FactorSet, vehicle: Slots) -> FactorSet:
-        """The sets (R) as they are."""
+        """The sets (R, n) of the vehicles ``vehicle`` (R,) as they are."""
         return start
 
     def advance(self, sets: FactorSet, k: int, vehicle: Slots) -> tuple[FactorSet, Mask]:
-        """The boxes (R) after step ``k`` of the vehicles (R,)."""
+        """The boxes (R, n) after step ``k`` (from 0) of the vehicles ``vehicle`` (R,)."""
         return FactorSet.zonotope(self.center[vehicle, k], self.generators[vehicle, k]), np.zeros(len(vehicle), bool)
 
 
@@ -83,8 +84,10 @@ def least_scores(confidence: float) -> int:
 class Calibrated:
     """Models, sizes and margins of the vehicles of a class, by slot; what they are made of stands in ``window``.
 
-    Per tick, in this order: ``observe``, ``refit``, ``predict``. Equal data gives equal sets, whatever the slot: what a
-    vehicle gets depends on its own samples, and when it is refitted on a checksum of them, which spreads the work.
+    Sets hold the next measured states at a rate [VGS05], no set is guaranteed (mathematics, section 5). ``slots`` (B,)
+    name the vehicles asked about. Per tick, in this order: ``observe``, ``refit``, ``predict``. Equal data gives equal
+    sets, whatever the slot: what a vehicle gets depends on its own samples, and when it is refitted on a checksum of
+    them, which spreads the work.
 
     Args:
         profile: the class; ``margin: tube`` makes the confidence one of whole tubes.

@@ -1,6 +1,6 @@
 """Compiled: the record of errors and scores of one vehicle, and the rank statistics of scores.
 
-The margin of a step is the r-th smallest of its W known scores, ``r = ceil((W + 1) confidence)`` [VGS05, section 2.2],
+The margin of a step is the r-th smallest of its W known scores, ``r = ceil((W + 1) confidence)`` [VGS05, chapter 2],
 so the ``W - r + 1``-th largest: it changes only with a score that is not below it, or when W does.
 """
 

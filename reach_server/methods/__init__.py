@@ -11,6 +11,7 @@ from reach_server.windows import Window
 __all__ = ["METHODS", "Forecast", "Method", "method_of"]
 
 METHODS = ("calibrated", "set_membership", "residual_hull", "paper", "lti")
+"""Names of the methods; ``default`` chooses one of the first two."""
 
 
 def method_of(

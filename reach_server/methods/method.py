@@ -39,7 +39,8 @@ class Forecast(Protocol):
 
 
 class Method(Protocol):
-    """Models of the vehicles of a class, by slot, and how sets follow from them."""
+    """Models of the vehicles of a class, by slot, and how sets follow from them; ``slots`` (B,) name the vehicles asked
+    about."""
 
     @property
     def claims_measured(self) -> bool:

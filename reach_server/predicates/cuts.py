@@ -1,7 +1,7 @@
 """What a predicate gives and needs: strips, the context it refers to, and the states that a set speaks about."""
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from reach_server.sets.arrays import Array, Mask
 
 Status = NDArray[np.int8]
-#: What ``status`` says of a set: all of its states satisfy the predicate, some may, none does.
-HOLDS, MAY_HOLD, NEVER = 1, 0, -1
+HOLDS: Final = 1
+"""What ``status`` says of a set all of whose states certainly satisfy the predicate."""
+MAY_HOLD: Final = 0
+"""What ``status`` says of a set some of whose states may satisfy the predicate: nothing is known."""
+NEVER: Final = -1
+"""What ``status`` says of a set none of whose states satisfies the predicate, for certain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,12 +5,13 @@ import numpy as np
 
 from reach_server.sets.arrays import Array
 
-#: Tangents of a disc: 16 leave at most 1.3 % more than its own area, and pair up to 8 strips.
 DISC_TANGENTS = 16
+"""Tangents of a disc: 16 leave at most 1.3 % more than its own area, and pair up to 8 strips."""
 
 
 def tangents(center: Array, radius: float, count: int = DISC_TANGENTS) -> tuple[Array, Array]:
-    """Half-spaces ``normal·x <= bound`` (count, 2), (count,) around a disc: tangents of ``r² - |x - q|²``, outer.
+    """Half-spaces ``normal·x <= bound`` (count, 2), (count,) around the disc with ``center`` (2,) and that radius, in
+    the units of the states: tangents of ``r² - |x - q|²``, outer.
 
     The value and gradient come from CasADi, compiled once and evaluated at all points in one call.
     """

@@ -1,8 +1,9 @@
 """Interval rules of the elementary functions, which floating point does not round correctly.
 
-The C library and the vector kernels that NumPy may use instead are wrong by up to 4 ulps (kernels; the GNU library by
-less than 3 [GIM+24]); every value is widened by twice that. Where an argument was reduced by a multiple of π/2, the
-reduction may leave an absolute error of its own, so that a sine or cosine is widened by ``8 * 2^-52`` altogether.
+The vector kernels that NumPy may use instead of the C library are meant to be off by no more than 4 ulps, and no error
+of the GNU library of 3 ulps or more is known [GIM+24], which is what a search found and no bound. Every value is
+widened by 8 ulps, twice the greater of the two. Where an argument was reduced by a multiple of π/2, the reduction may
+leave an absolute error of its own, so that a sine or cosine is widened by ``8 * 2^-52`` altogether.
 A rule needs no more than this and the function being monotone between known places; see ``rules`` for the conventions.
 """
 

@@ -28,6 +28,9 @@ class _Entry:
 class Literals:
     """Predicates as literals of formulas, numbered from 0 in the order in which they came.
 
+    Cuts are outer: no state that satisfies a predicate is lost (mathematics, 4.11 to 4.18). Predicates become tangents
+    and linearisations whose remainder is bounded over zonotopes [Alt10] by interval arithmetic [Moo66].
+
     Args:
         n: states of the class.
         plane: the position states.
@@ -57,8 +60,8 @@ class Literals:
         """The number of a literal: ``predicate`` holds at some time up to ``margin_ns`` from the sample.
 
         ``index`` gives the place of each of the scenario's states, ``speed`` (n,) bounds how fast states move, per
-        second; ``k`` and the last received state are those of the sample. The same literal again has the same number.
-        Raises ``ScenarioError`` for a predicate that cannot be compiled.
+        second, in the units of the profile; ``k`` and the last received state are those of the sample. The same literal
+        again has the same number. Raises ``ScenarioError`` for a predicate that cannot be compiled.
         """
         margin = margin_ns * 1e-9 * (1 + 4 * EPS)
         motion = np.broadcast_to(np.asarray(speed, dtype=np.float64), (self._n,)) * margin
@@ -93,7 +96,7 @@ class Literals:
         return self._noise is None or self._entries[literal].cutter.fixed
 
     def fixed_strips(self, literal: int) -> Strips:
-        """The strips (C) of a literal for which they depend neither on the set nor on the context."""
+        """The strips (C,) of a literal for which they depend neither on the set nor on the context: outer."""
         found = self._fixed_strips.get(literal)
         if found is None:
             nothing = np.zeros((0, self._n))
@@ -103,9 +106,10 @@ class Literals:
         return found
 
     def status(self, ids: Sequence[int], center: Array, generators: Array, context: Context) -> Status:
-        """What literals (L,) come to on sets of *true* states (R, n), (R, n, g): (R, L).
+        """What the literals ``ids`` (L,) come to on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
+        (R, L).
 
-        1: holds of all states of the set, -1: of none, both certain; 0: not known.
+        ``HOLDS`` of all states of the set, ``NEVER`` of one, both certain; ``MAY_HOLD``: not known.
         """
         found = np.zeros((len(center), len(ids)), dtype=np.int8)
         for column, literal in enumerate(ids if len(center) else ()):
@@ -113,7 +117,8 @@ class Literals:
         return found
 
     def strips(self, literal: int, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
-        """Strips that hold for every state of the sets (R, n), (R, n, g) whose true state may satisfy the literal.
+        """Strips that hold for every state of the sets, ``center`` (R, n), ``generators`` (R, n, g), whose true state
+        may satisfy the literal.
 
         Outer bounds; ``empty`` (R,): there certainly is no such state.
         """

@@ -1,6 +1,6 @@
 """What a second derivative can add to a linear bound: ``½ dᵀH d`` over a zonotope and all H between bounds.
 
-With ``H = M + E``, ``|E| <= R`` entry by entry, and ``d = Gξ``, ``|ξ| <= 1`` [Alt10, p. 65]:
+With ``H = M + E``, ``|E| <= R`` entry by entry, and ``d = Gξ``, ``|ξ| <= 1`` (the quadratic map of a zonotope [Alt10]):
 
     ½ dᵀH d <= Σ_i max(Q_ii, 0) + Σ_{i≠j} |Q_ij| + ½ |d|ᵀ R |d| ,   Q = ½ GᵀMG ,
 

@@ -52,7 +52,9 @@ class ConstrainedZonotope:
     bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf, -inf], a polygon
     of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
 
-    Raises ``SetError`` for wrong shapes, NaN or infinities, and for dimension 0.
+    Every bounded polytope is one [SDB+16]. Numbers are in whatever units the caller uses. Raises ``SetError`` for wrong
+    shapes, NaN or infinities, and for dimension 0; so does every verb for its arguments, also where their batch axes do
+    not go with those of the set.
     """
 
     center: Array
@@ -82,13 +84,14 @@ class ConstrainedZonotope:
 
     @classmethod
     def box(cls, lower: ArrayLike, upper: ArrayLike) -> Self:
-        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards by 1 ulp where not
-        exact."""
+        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards by 1 ulp where they are no
+        floating-point numbers."""
         return cls.from_zonotope(Zonotope.box(lower, upper))
 
     @classmethod
     def from_interval(cls, interval: Interval | tuple[ArrayLike, ArrayLike]) -> Self:
-        """The box of an ``Interval`` of shape (..., n), or of a pair (lower, upper): exact, as ``box``.
+        """The box of ``interval``, an ``Interval`` of shape (..., n) or a pair (lower, upper) of such: exact, as
+        ``box``.
 
         Raises ``SetError`` for empty and for unbounded intervals.
         """
@@ -133,14 +136,14 @@ class ConstrainedZonotope:
         return self._with(self.center[..., kept], self.generators[..., kept, :])
 
     def minkowski_sum(self, other: AnyZonotope) -> Self:
-        """``{a + b}``: exact [SDB+16, prop. 1]."""
+        """``{a + b}`` for a of this set and b of ``other``: exact [SDB+16]; batch axes are broadcast."""
         added = self._other(other)
         matrix, offset = self._joined_constraints(added)
         generators = stack_columns(self.generators, added.generators)
         return self._made(self.center + added.center, generators, matrix, offset, added.direction)
 
     def cartesian_product(self, other: AnyZonotope) -> Self:
-        """``{(a, b)}``: exact."""
+        """``{(a, b)}`` in n1 + n2 dimensions: exact."""
         second = self._other(other, same_space=False)
         matrix, offset = self._joined_constraints(second)
         batch = np.broadcast_shapes(self.batch, second.batch)
@@ -177,7 +180,8 @@ class ConstrainedZonotope:
         return self._made((self.center + second.center) / 2, generators, matrix, right, second.direction)
 
     def intersect_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> Self:
-        """The part with ``|Hx - q| <= r`` (H (..., n); r = inf: inactive): exact, one factor and one row more.
+        """The part with ``|Hx - q| <= r`` for H (..., n), q and r (...) (r = inf: inactive): exact, one factor and one
+        row more.
 
         Algorithm 3 of [AJS+22] with the new columns of G zero, on the strip tightened to the zonotope. Where that strip
         is certainly missed, the row added cannot be met: the result is empty.
@@ -189,7 +193,7 @@ class ConstrainedZonotope:
         return self._cut(normal[..., None, :], lower[..., None], upper[..., None])
 
     def intersect_halfspace(self, H: ArrayLike, q: ArrayLike) -> Self:
-        """The part with ``Hx <= q`` (q = inf: inactive): exact, one factor and one row more."""
+        """The part with ``Hx <= q`` for H (..., n), q (...) (q = inf: inactive): exact, one factor and one row more."""
         normal = self._argument(H, "H", (self.dimension,))
         bound = self._argument(q, "q", (), infinite=True)
         return self._cut(normal[..., None, :], np.full(1, -np.inf), bound[..., None])
@@ -206,16 +210,19 @@ class ConstrainedZonotope:
     ) -> Self:
         """An enclosure of the part with ``|h(x)| <= r`` where ``h(x)`` is in ``h0 + J(x - center) + [lower, upper]``.
 
-        J (..., n); h0, lower, upper and r (...); an infinite remainder or r is inactive; outer: one factor and one row
-        more. Algorithm 3 of [AJS+22] with its two columns -r and G_L added up: the strip ``|J(x - c) + h0 + mid| <= r +
-        rad``, rounded outwards.
+        J (..., n); h0, r and both ends of ``remainder`` = (lower, upper) have shape (...,); an infinite remainder or r
+        is inactive; outer: one factor and one row more. Algorithm 3 of [AJS+22] with its two columns -r and G_L added
+        up: the strip ``|J(x - c) + h0 + mid| <= r + rad``, rounded outwards.
         """
         normal = self._argument(J, "J", (self.dimension,))
         lower, upper = strips.linearised(normal, self.center, h0, remainder, r, self.batch)
         return self._cut(normal[..., None, :], lower[..., None], upper[..., None], Direction.OUTER)
 
     def intersection(self, other: AnyZonotope, matrix: ArrayLike | None = None) -> Self:
-        """``{x in self : Rx in other}`` (R = ``matrix`` (..., k, n), None: identity): exact [SDB+16, prop. 1]."""
+        """``{x in self : Rx in other}`` (R = ``matrix`` (..., k, n), None: identity): exact [SDB+16].
+
+        Raises ``SetError`` where the rows of the matrix are not as many as the dimensions of ``other``.
+        """
         second = self._other(other, same_space=matrix is None)
         m = np.eye(self.dimension) if matrix is None else self._argument(matrix, "matrix", (None, self.dimension))
         if m.shape[-2] != second.dimension:
@@ -260,7 +267,7 @@ class ConstrainedZonotope:
         """An enclosing set with at most ``order * n`` generators (at least n plus the constraints): outer; the same set
         if there are no more.
 
-        The zonotope of ``(Gβ, Aβ)`` is enclosed as one and the constraints are kept [SDB+16, section 4.1]; methods as
+        The zonotope of ``(Gβ, Aβ)`` is enclosed as one and the constraints are kept [SDB+16, section 4.3]; methods as
         for zonotopes. It gains from ``rescale`` and ``reduce_constraints`` beforehand.
         """
         count = reduction.generator_count(order, self.dimension)
@@ -282,7 +289,8 @@ class ConstrainedZonotope:
         same set if there are no more.
 
         One by one, after rescaling ([SDB+16, section 4.2]; see ``constraint_reduction.reduce_constraints``); more
-        ``candidates`` take longer and give smaller sets. An empty set may become one that is not.
+        ``candidates`` take longer and give smaller sets. An empty set may become one that is not. Raises ``SetError``
+        for a negative count.
         """
         kept = checked_count(count, "count")
         if kept >= self.constraint_matrix.shape[-2]:
@@ -303,7 +311,7 @@ class ConstrainedZonotope:
         )
 
     def rescale(self) -> Self:
-        """The same set over factors that each reach both of their bounds: exact [SDB+16, section 4.2]."""
+        """The same set over factors that each reach both of their bounds: exact [SDB+16, eq. 24]."""
         return self._made(*constraint_reduction.rescale(self._parts))
 
     def simplify(self) -> Self:
@@ -342,7 +350,7 @@ class ConstrainedZonotope:
         return self.emptiness_certificate().empty
 
     def emptiness_certificate(self) -> EmptinessCertificate:
-        """Where the set is certainly empty, with the Farkas weights (..., c) that prove it."""
+        """Where the set is certainly empty (...), with the Farkas weights (..., c) that prove it; False: not shown."""
         found = support.farkas(self.constraint_matrix, self.constraint_offset)
         batch = self.batch
         if found.empty.shape == batch:
@@ -353,7 +361,8 @@ class ConstrainedZonotope:
     def polygon(self, count: int | None = None) -> Array:
         """Vertices (..., V, 2) of planar sets, counter-clockwise: exact up to 1e-9 of the set's extent, and outer; sets
         with fewer vertices than V repeat the last one. With ``count`` (at least 3): that many vertices of an outer
-        polygon, certified in ``planar.directions(count)``."""
+        polygon, certified in as many directions at equal angles. Raises ``SetError`` for a smaller count and in other
+        dimensions."""
         self._planar("polygon")
         if count is None:
             return self._outline().outer
@@ -371,7 +380,10 @@ class ConstrainedZonotope:
         return outline.outline(self.center, self.generators, self.constraint_matrix, self.constraint_offset)
 
     def area(self) -> Array:
-        """Area (...) of planar sets: exact up to 1e-9 of the squared extent, never below the true area."""
+        """Area (...) of planar sets: exact up to 1e-9 of the squared extent, never below the true area.
+
+        Raises ``SetError`` in other dimensions.
+        """
         self._planar("area")
         return self.area_bracket()[1]
 
@@ -441,12 +453,12 @@ class ConstrainedZonotope:
         return Zonotope(center, stack_columns(generators, rounding), compose(self.direction, Direction.OUTER))
 
     def contains_point(self, x: ArrayLike) -> Mask:
-        """True (...) where the point (..., n) lies in the set, up to 1e-7 of its size: exact."""
+        """True (...) where the point ``x`` (..., n) lies in the set: exact up to 1e-7 of its size."""
         return self._reach(x)[0]
 
     def factors_of(self, x: ArrayLike) -> Array:
-        """Factors β (..., g) with ``c + Gβ = x``, ``Aβ = b`` and ``|β| <= 1``, up to 1e-7 of the set's size; rows of
-        NaN where the point (..., n) is not in the set."""
+        """Factors β (..., g) with ``c + Gβ = x``, ``Aβ = b`` and ``|β| <= 1`` for the point ``x`` (..., n): exact up to
+        1e-7 of the set's size; rows of NaN where the point is not in the set."""
         return self._reach(x)[1]
 
     def _reach(self, x: ArrayLike) -> tuple[Mask, Array]:
@@ -494,7 +506,7 @@ class ConstrainedZonotope:
 
         ``inside`` and ``boundary``: in the plane uniform by area and by length; else from an inner point towards the
         boundary in random directions, part of the way and all of it. ``factors``: mixtures of random vertices of the
-        factors' polytope, every third one such a vertex.
+        factors' polytope, every third one such a vertex. Raises ``SetError`` for another ``how``.
         """
         if how not in ("inside", "boundary", "factors"):
             raise SetError(f"how is {how!r}, expected one of inside, boundary, factors")

@@ -56,7 +56,7 @@ def factor_bounds(matrix: Array, offset: Array) -> tuple[Array, Array]:
 
 
 def rescale(parts: Parts) -> Parts:
-    """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], section 4.2).
+    """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], eq. 24).
 
     With ``β = m + Rβ'`` for the certified bounds ``m ± R``: ``c + Gm``, ``GR``, ``AR``, ``b - Am``. The paper bounds
     the factors by interval propagation; linear programs give the least bounds.

@@ -42,11 +42,12 @@ def _two_sum(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Closed intervals ``[lower, upper]`` of any common shape; bounds may be infinite.
+    """Closed intervals ``[lower, upper]`` of any common shape (...,); bounds may be infinite.
 
-    The empty interval is ``[inf, -inf]``; operations hand it on. Every result is an outer bound: it exceeds the exact
-    one by at most 2 ulps per rounding (``sum`` of k terms: ``k`` ulps of the sum of their absolute values). Raises
-    ``SetError`` for NaN and where ``lower`` is greater than ``upper``.
+    The empty interval is ``[inf, -inf]``; operations hand it on. Interval arithmetic [Moo66] with ``+ - * / @``, unary
+    minus and ``abs``, with numbers, too. Every result is an outer bound: it exceeds the exact one by at most 2 ulps per
+    rounding (``sum`` of k terms: ``k`` ulps of the sum of their absolute values). Raises ``SetError`` for NaN, where
+    ``lower`` is greater than ``upper``, and where a divisor holds zero.
     """
 
     lower: Array
@@ -66,7 +67,7 @@ class Interval:
 
     @classmethod
     def of(cls, value: "Interval | ArrayLike") -> "Interval":
-        """The value as an interval; numbers become intervals of width 0."""
+        """The value (...,) as an interval: exact; numbers become intervals of width 0."""
         if isinstance(value, Interval):
             return value
         number = checked(value, "value", ())
@@ -74,7 +75,7 @@ class Interval:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...] = ()) -> Self:
-        """Empty intervals."""
+        """Empty intervals of that shape: exact."""
         return cls(np.full(shape, np.inf), np.full(shape, -np.inf))
 
     @property
@@ -88,19 +89,20 @@ class Interval:
 
     @property
     def midpoint(self) -> Array:
-        """A number near the middle of bounded intervals; with ``radius`` it covers the interval. NaN where empty."""
+        """A number (...,) near the middle of bounded intervals; ``midpoint`` ± ``radius`` is an outer bound of the
+        interval. NaN where empty."""
         with np.errstate(all="ignore"):
             return np.asarray(self.lower / 2 + self.upper / 2)
 
     @property
     def radius(self) -> Array:
-        """How far the bounds are from ``midpoint``: rounded up; NaN where empty."""
+        """How far the bounds are from ``midpoint`` (...,): outer, rounded up; NaN where empty."""
         middle = self.midpoint
         return np.maximum(add_up(self.upper, -middle), add_up(middle, -self.lower))
 
     @property
     def width(self) -> Array:
-        """``upper - lower``: rounded up; -inf where empty."""
+        """``upper - lower`` (...,): outer, rounded up; -inf where empty."""
         return add_up(self.upper, -self.lower)
 
     def __getitem__(self, place: Any) -> "Interval":
@@ -141,7 +143,7 @@ class Interval:
         return Interval.of(other) / self
 
     def sqr(self) -> "Interval":
-        """``{x² : x in the interval}``: never negative, unlike ``self * self``."""
+        """``{x² : x in the interval}``: outer, by rounding only; never negative, unlike ``self * self``."""
         size = abs(self)
         return _made(
             np.maximum(_product(size.lower, size.lower)[0], 0.0), _product(size.upper, size.upper)[1], self, self
@@ -152,7 +154,7 @@ class Interval:
         return _made(low, np.maximum(-self.lower, self.upper), self, self)
 
     def sum(self, axis: int = -1) -> "Interval":
-        """Sum over an axis."""
+        """Sum over an axis: outer, by rounding only."""
         empty = self.is_empty().any(axis=axis)
         bounds = []
         for value, sign in ((self.lower, -1.0), (self.upper, 1.0)):
@@ -167,7 +169,11 @@ class Interval:
         return Interval(np.where(empty, np.inf, bounds[0]), np.where(empty, -np.inf, bounds[1]))
 
     def linear_map(self, matrix: "Interval | ArrayLike") -> "Interval":
-        """The product of a matrix (..., m, k), of numbers or intervals, and vectors (..., k): shape (..., m)."""
+        """The product of ``matrix`` (..., m, k), of numbers or intervals, and vectors (..., k): outer, shape (..., m).
+
+        The bounds of each component are the least ones but for rounding. Raises ``SetError`` for shapes that have no
+        product.
+        """
         m = Interval.of(matrix)
         if len(m.shape) < 2 or not self.shape or m.shape[-1] != self.shape[-1]:
             raise SetError(f"matrix has shape {m.shape}, expected (..., m, {(self.shape or ('k',))[-1]})")

@@ -6,7 +6,7 @@ beside them (lagged inputs) are cut together. Nothing here allocates: ``work`` (
 is needed on the way. Every kernel treats one set alone, so that equal sets have equal results whatever is beside them.
 
 Cuts. For every λ the zonotope ``<c + λ(q - Hc), [(I - λH)G, λr]>`` contains the intersection with ``|Hx - q| <= r``
-[ABC05, section 4]. For ``λ = g_j / (H g_j)`` [ABC06] column j becomes zero, and the new one takes its place. With
+[ABC05]. For ``λ = g_j / (H g_j)`` [ABC06] column j becomes zero, and the new one takes its place. With
 ``d_i = det(g_i, λ)`` in the plane, and H zero outside of it, the area after the cut is
 
     |1 - Hλ| A + 4 r Σ|d_i| ,       A = 4 Σ_{i<j} |det(g_i, g_j)| before it,

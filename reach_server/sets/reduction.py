@@ -40,7 +40,7 @@ def girard(generators: Array, count: int) -> Array:
     """Generators (..., n, g) of an enclosing zonotope with at most ``max(count, n)`` columns; an outer bound.
 
     Keeps the columns that are least like a box and encloses the sum of the others by a box, whose n columns
-    come last ([Gir05], section 3.4). Each set of the batch is reduced by its own ranking. Returned unchanged
+    come last [Gir05]. Each set of the batch is reduced by its own ranking. Returned unchanged
     if there are few enough columns.
     """
     n, g = generators.shape[-2:]
@@ -52,7 +52,7 @@ def girard(generators: Array, count: int) -> Array:
 
 
 def combastel(generators: Array, count: int) -> Array:
-    """Like ``girard``, but keeps the longest columns ([Com03], section 3.2); an outer bound."""
+    """Like ``girard``, but keeps the longest columns [Com03]; an outer bound."""
     n, g = generators.shape[-2:]
     if g <= max(count, n):
         return generators
@@ -61,7 +61,7 @@ def combastel(generators: Array, count: int) -> Array:
 
 
 def pca(generators: Array, count: int) -> Array:
-    """Like ``girard``, but the others are enclosed by a box along their principal axes ([KSA17], section III.A); an
+    """Like ``girard``, but the others are enclosed by a box along their principal axes [KSA17]; an
     outer bound. Where the axis-parallel box has less volume it is taken."""
     n, g = generators.shape[-2:]
     if g <= max(count, n):

@@ -3,7 +3,7 @@
 With every variable boxed, each basis is dual feasible: a variable outside the basis goes to the bound that the sign of
 its reduced cost asks for. So there is no first phase, every iteration ends with multipliers y, and each y is a
 certificate: ``c·β <= b·y + |c - Aᵀy|₁`` for all ``|β| <= 1`` with ``Aβ = b``. One iteration minimises that bound along
-an edge, over all its kinks at once (the bound flipping ratio test, [Mar03, section 6.2]); where it falls without end
+an edge, over all its kinks at once (the bound flipping ratio test, [Mar03]); where it falls without end
 the edge is a Farkas certificate of emptiness.
 
 What the iterations do is not trusted: bounds and certificates are evaluated anew from A and b, with what their sums may

@@ -65,8 +65,9 @@ class Zonotope:
     come back as numbers (``support``, ``interval_hull``, ``volume_bracket``) and the lengths that a reduction adds up
     are rounded outwards.
 
-    The arrays are not copied, only the set's view of them is read-only. Raises ``SetError`` for wrong shapes, NaN or
-    infinities, and for dimension 0.
+    The arrays are not copied, only the set's view of them is read-only. Numbers are in whatever units the caller uses.
+    Raises ``SetError`` for wrong shapes, NaN or infinities, and for dimension 0; so does every verb for its arguments,
+    also where their batch axes do not go with those of the set.
     """
 
     center: Array
@@ -85,7 +86,10 @@ class Zonotope:
 
     @classmethod
     def box(cls, lower: ArrayLike, upper: ArrayLike) -> Self:
-        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards."""
+        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards.
+
+        Raises ``SetError`` where ``lower`` is greater than ``upper``.
+        """
         high = checked_dimension(checked(upper, "upper", (None,)), -1, "upper")
         low = checked(lower, "lower", (high.shape[-1],))
         checked_batch(low, 1, "lower", high.shape[:-1])
@@ -95,7 +99,8 @@ class Zonotope:
 
     @classmethod
     def from_interval(cls, interval: Interval | tuple[ArrayLike, ArrayLike]) -> Self:
-        """The box of an ``Interval`` of shape (..., n), or of a pair (lower, upper): exact, as ``box``.
+        """The box of ``interval``, an ``Interval`` of shape (..., n) or a pair (lower, upper) of such: exact, as
+        ``box``.
 
         Raises ``SetError`` for empty and for unbounded intervals.
         """
@@ -148,12 +153,12 @@ class Zonotope:
         return self._with(self.center[..., kept], self.generators[..., kept, :])
 
     def minkowski_sum(self, other: "Zonotope") -> Self:
-        """``{a + b}``: exact [Gir05]."""
+        """``{a + b}`` for a of this set and b of ``other``: exact [Gir05]; batch axes are broadcast."""
         self._same_space(other, "minkowski_sum")
         return self._with(self.center + other.center, stack_columns(self.generators, other.generators), other.direction)
 
     def cartesian_product(self, other: "Zonotope") -> Self:
-        """``{(a, b)}``: exact."""
+        """``{(a, b)}`` in n1 + n2 dimensions: exact."""
         _zonotope(other, "cartesian_product")
         self._checked_batch_of(other)
         batch = np.broadcast_shapes(self.batch, other.batch)
@@ -168,14 +173,17 @@ class Zonotope:
         return self._with(center, generators, Direction.OUTER, other.direction)
 
     def intersect_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike, method: strips.StripMethod = "tight") -> Self:
-        """An enclosure of the part with ``|Hx - q| <= r`` (H (..., n); r = inf: inactive): outer [ABC05, ABC06].
+        """An enclosure of the part with ``|Hx - q| <= r``: outer [ABC05, ABC06].
 
-        Where the intersection is certainly empty the set comes back unchanged; ask ``misses_strip``.
+        H (..., n); q and r (...), r = inf: inactive. With ``tight`` the result is never larger than the set, by area or
+        by widths; with ``frobenius`` (Algorithm 2 of [AJS+22]) it may be. Where the intersection is certainly empty the
+        set comes back unchanged; ask ``misses_strip``. Raises ``SetError`` for a negative r and an unknown method.
         """
         return self._cut(H, *strips.bounds(q, r, self.batch), method)
 
     def intersect_halfspace(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
-        """An enclosure of the part with ``Hx <= q``: outer; unchanged where that part is certainly empty."""
+        """An enclosure of the part with ``Hx <= q`` for H (..., n), q (...) (q = inf: inactive): outer; unchanged where
+        that part is certainly empty."""
         return self._cut(H, np.asarray(-np.inf), self._checked(q, "q", (), infinite=True), method)
 
     def intersect_tangents(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
@@ -200,9 +208,9 @@ class Zonotope:
     ) -> Self:
         """An enclosure of the part with ``|h(x)| <= r`` where ``h(x)`` is in ``h0 + J(x - center) + [lower, upper]``.
 
-        J (..., n); h0, lower, upper and r (...); an infinite remainder or r is inactive; outer. Algorithm 2 of
-        [AJS+22] with its parallel columns λr and λG_L added up: the strip ``|J(x - c) + h0 + mid| <= r + rad``,
-        rounded outwards.
+        J (..., n); h0, r and both ends of ``remainder`` = (lower, upper) have shape (...,); an infinite remainder or r
+        is inactive; outer. Algorithm 2 of [AJS+22] with its parallel columns λr and λG_L added up: the strip
+        ``|J(x - c) + h0 + mid| <= r + rad``, rounded outwards.
         """
         normal = self._checked(J, "J", (self.dimension,))
         return self._cut(normal, *strips.linearised(normal, self.center, h0, remainder, r, self.batch), method)
@@ -210,7 +218,8 @@ class Zonotope:
     def intersection(self, other: "Zonotope", matrix: ArrayLike | None = None) -> Self:
         """A zonotope around ``{x in self : Rx in other}`` (R = ``matrix`` (..., k, n), None: identity): outer.
 
-        Some zonotope comes back where that is empty, too; ask ``intersects``.
+        Some zonotope comes back where that is empty, too; ask ``intersects``. Raises ``SetError`` where the rows of the
+        matrix are not as many as the dimensions of ``other``.
         """
         _zonotope(other, "intersection")
         m = np.eye(self.dimension) if matrix is None else self._matrix(matrix)
@@ -223,7 +232,8 @@ class Zonotope:
         return self._with(center, generators, Direction.OUTER, other.direction)
 
     def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> Mask:
-        """True where no point of the set has ``|Hx - q| <= r``: certain where True, by a relative margin of 1e-9."""
+        """True (...) where no point of the set has ``|Hx - q| <= r``, for H (..., n), q and r (...): certain where
+        True, by a relative margin of 1e-9."""
         normal = self._checked(H, "H", (self.dimension,))
         lower, upper = strips.bounds(q, r, self.batch)
         return np.asarray(strips.strip_bounds(self.center, self.generators, normal, lower, upper)[3])
@@ -236,8 +246,9 @@ class Zonotope:
         return self._with(center, generators, Direction.OUTER)
 
     def reduce_order(self, order: float, method: reduction.ReductionMethod = "girard") -> Self:
-        """An enclosing zonotope with at most ``order * n`` generators (at least n): outer; the same set if there are
-        no more. Methods: girard [Gir05], combastel [Com03], pca [KSA17], scott [SDB+16]."""
+        """An enclosing zonotope with at most ``order * n`` generators (at least n): outer; the same set if there are no
+        more. Methods: girard [Gir05], combastel [Com03], pca [KSA17], scott [SDB+16]. Raises ``SetError`` for an order
+        that is not positive or an unknown method."""
         count = reduction.generator_count(order, self.dimension)
         generators = reduction.reduce_generators(self.generators, count, method)
         same = generators.shape[-1] == self.generators.shape[-1]
@@ -263,8 +274,8 @@ class Zonotope:
         return add_down(self.center, -half), add_up(self.center, half)
 
     def volume(self) -> Array:
-        """Volume (...): exact. Beyond the plane every choice of n generators is looked at: for many generators ask
-        ``volume_bracket``."""
+        """Volume (...): exact [GK10]. Beyond the plane every choice of n generators is looked at: for many generators
+        ask ``volume_bracket``."""
         if self.dimension == 2:
             return np.broadcast_to(planar.zonotope_area(self.generators), self.batch)
         return np.broadcast_to(planar.zonotope_volume(self.generators), self.batch)
@@ -275,7 +286,7 @@ class Zonotope:
         return np.broadcast_to(inner, self.batch), np.broadcast_to(outer, self.batch)
 
     def area(self) -> Array:
-        """Area (...) of planar sets: exact."""
+        """Area (...) of planar sets: exact. Raises ``SetError`` in other dimensions."""
         self._planar("area")
         return self.volume()
 
@@ -286,7 +297,8 @@ class Zonotope:
 
     def polygon(self, count: int | None = None) -> Array:
         """Vertices (..., V, 2) of planar sets, counter-clockwise: exact, V = 2 g (1 without generators). With ``count``
-        (at least 3): an outer polygon of that many vertices, tight in ``planar.directions(count)``."""
+        (at least 3): an outer polygon of that many vertices, tight in as many directions at equal angles. Raises
+        ``SetError`` for a smaller count and in other dimensions."""
         self._planar("polygon")
         if count is None:
             return planar.zonotope_polygon(self.center, self.generators)
@@ -301,12 +313,12 @@ class Zonotope:
         return self
 
     def contains_point(self, x: ArrayLike) -> Mask:
-        """True (...) where the point (..., n) lies in the set, up to 1e-7 of its size: exact."""
+        """True (...) where the point ``x`` (..., n) lies in the set: exact up to 1e-7 of its size."""
         return self._reach(x)[0]
 
     def factors_of(self, x: ArrayLike) -> Array:
-        """Factors β (..., g) with ``c + Gβ = x`` and ``|β| <= 1``, up to 1e-7 of the set's size; rows of NaN where the
-        point (..., n) is not in the set."""
+        """Factors β (..., g) with ``c + Gβ = x`` and ``|β| <= 1`` for the point ``x`` (..., n): exact up to 1e-7 of the
+        set's size; rows of NaN where the point is not in the set."""
         return self._reach(x)[1]
 
     def _reach(self, x: ArrayLike) -> tuple[Mask, Array]:
@@ -318,7 +330,8 @@ class Zonotope:
         """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
 
         Up to the plane the support of ``other`` decides: where it is exact, False is certain, too. Beyond, a sufficient
-        condition does [ST19], for sets that are no zonotopes about the enclosing one.
+        condition does [ST19], for sets that are no zonotopes about the enclosing one. Raises ``SetError`` for another
+        dimension or what is no set.
         """
         if not isinstance(other, ConvexSet):
             raise SetError(f"other is a {type(other).__name__}, expected a Zonotope or a ConstrainedZonotope")
@@ -342,14 +355,15 @@ class Zonotope:
         return ~containment.certainly_disjoint(self.center, self.generators, other.center, other.generators)
 
     def is_empty(self) -> Mask:
-        """False (...): a zonotope always holds its center."""
+        """False (...): exact, a zonotope always holds its center."""
         return np.zeros(self.batch, dtype=bool)
 
     def sample(self, rng: np.random.Generator, count: int, how: SampleMethod = "inside") -> Array:
         """Members (..., count, n), exact up to rounding.
 
         ``inside``: uniform by volume; ``boundary``: on the boundary, uniform by area in general position (both: see
-        ``tiling``); ``factors``: independent factors, some points with all of them at their bounds.
+        ``tiling``); ``factors``: independent factors, some points with all of them at their bounds. Raises ``SetError``
+        for another ``how``.
         """
         g, batch = self.generators.shape[-1], self.batch
         draws = {"inside": tiling.inner_factors, "boundary": tiling.boundary_factors, "factors": tiling.any_factors}

@@ -26,9 +26,11 @@ __all__ = ["DEAD", "FALSE", "TRUE", "Alternative", "Expansion", "Grid", "Table",
 class Table:
     """Obligations and their alternatives, numbered; grows when something new is asked for.
 
-    An obligation has at most ``max_alternatives`` alternatives and a belief as many members; beyond that they are
+    Formulas are progressed from sample to sample [BK00] by the tableau rules [Wol85] (mathematics, 4.5 to 4.8). An
+    obligation has at most ``max_alternatives`` alternatives and a belief as many members; beyond that they are
     weakened. Without that, and on a grid without slack, jitter and continuous meaning, everything is exact but for
-    ``cap``; else outer: what is fulfilled stays so. Not for several threads.
+    ``cap``; else outer: what is fulfilled stays so. Raises ``ValueError`` for less than one alternative. Not for
+    several threads.
     """
 
     def __init__(self, *, max_alternatives: int = 64) -> None:
@@ -50,7 +52,8 @@ class Table:
 
         ``literal`` maps a predicate and a margin (ns of motion, 0 but under continuous meaning) to the number of a
         literal, 0 or more. Where samples before grid index ``-lead`` may have been taken, ``lead`` has to be
-        ``grid.lead``: with more slack than a step one of them can be what an ``eventually`` waits for.
+        ``grid.lead``: with more slack than a step one of them can be what an ``eventually`` waits for. Raises
+        ``ValueError`` for a negative lead.
         """
         if lead < 0:
             raise ValueError(f"lead {lead}: expected 0 or more")
@@ -65,11 +68,12 @@ class Table:
         return tuple(Alternative(_indices(literals), rest) for literals, rest in self._tableau.ways(obligation))
 
     def expand(self, obligations: Ints) -> Expansion:
-        """Alternatives of obligations (R,) in one go."""
+        """Alternatives of ``obligations`` (R,) in one go."""
         return self._expander.expand(obligations)
 
     def masks(self, literal_sets: Ints, count: int) -> Bools:
-        """(A, count): whether literal set a has literal l in it, for the literals below ``count``."""
+        """(A, count): whether each of the ``literal_sets`` (A,) has literal l in it, for the literals below
+        ``count``."""
         return self._expander.masks(literal_sets, count)
 
     def subsumption(self, expansion: Expansion) -> tuple[Ints, Ints]:

@@ -15,8 +15,8 @@ from side_info.progression.nodes import FALSE
 from side_info.progression.obligations import Obligations
 from side_info.progression.weakening import Weakening
 
-#: The belief of no obligation: the formula is certainly broken.
 DEAD: Final = 0
+"""The belief of no obligation: the formula is certainly broken."""
 
 
 class Beliefs:

@@ -47,7 +47,8 @@ class Grid:
     """Where the samples of a vehicle are, in ns: every ``step_ns``, off by at most ``jitter_ns`` each.
 
     Grid index 0 is time zero of the formula but for ``slack_ns``. ``continuous``: the formula speaks about
-    every instant, not about samples. Raises ``ValueError`` for a jitter of more than half a step.
+    every instant, not about samples. Raises ``ValueError`` for a step that is not positive, a negative slack, and a
+    jitter of more than half a step.
     """
 
     step_ns: int
@@ -72,9 +73,11 @@ class Grid:
         return (self.step_ns + 1) // 2
 
     def ceil(self, time_ns: int) -> int:
+        """Index of the first grid point at that time or after it."""
         return -(-time_ns // self.step_ns)
 
     def floor(self, time_ns: int) -> int:
+        """Index of the last grid point at that time or before it."""
         return time_ns // self.step_ns
 
     def nearest(self, time_ns: int) -> int:

@@ -18,9 +18,9 @@ Bools = NDArray[np.bool_]
 class Expansion:
     """Alternatives of R obligations, A in all, those of one obligation next to each other.
 
-    ``start (R + 1,)``: alternatives ``start[r]`` to ``start[r + 1] - 1`` belong to ``obligation[r]``;
-    ``parent (A,)`` says the same from the other side. ``literal_set (A,)`` numbers sets of literals (``masks`` tells
-    what is in them) and ``next (A,)`` is the obligation from the next sample on.
+    ``obligation`` (R,) are those asked about. ``start`` (R + 1,): alternatives ``start[r]`` to ``start[r + 1] - 1``
+    belong to ``obligation[r]``; ``parent`` (A,) says the same from the other side. ``literal_set`` (A,) numbers sets of
+    literals (``Table.masks`` tells what is in them) and ``next`` (A,) is the obligation from the next sample on.
     """
 
     obligation: Ints

@@ -6,9 +6,10 @@ An obligation is a number; its operands are numbers too (``Obligations`` keeps w
 from dataclasses import dataclass
 from typing import Final
 
-#: The obligation that every sequence of samples fulfils, and the one that none does.
 TRUE: Final = 0
+"""The obligation that every sequence of samples fulfils."""
 FALSE: Final = 1
+"""The obligation that no sequence of samples fulfils."""
 
 
 @dataclass(frozen=True, slots=True)
