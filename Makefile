@@ -19,7 +19,7 @@ help:
 	@echo "make test          lint, documentation, tests"
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documentation into site/"
-	@echo "make bench         speed and tightness"
+	@echo "make bench         speed and tightness beside peers, into bench/"
 	@echo "make requirements  pin anew from pyproject.toml (ARGS=--upgrade: newest versions)"
 	@echo "make clean         remove everything that make has made, $(VENV) too"
 
@@ -37,8 +37,8 @@ lint: $(VENV)/.dev
 docs: $(VENV)/.dev
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
 
-bench: $(VENV)/.dev
-	@$(BIN)/python -m benchmarks $(ARGS)
+bench: $(VENV)/.all-compiled
+	@$(BIN)/fleet bench $(ARGS)
 
 # The first python that is new enough and can make a virtual environment; PYTHON=... overrides.
 $(VENV)/.python:

@@ -265,4 +265,5 @@ def run(quick: bool) -> Table:
             Claim("true states held against every method at every step", float(least), "≥", 500.0 if quick else 1e6),
             Claim("tubes missing or not labelled guaranteed", float(unsure), "≤", 0.0),
         ],
+        keys=2,
     )  # fmt: skip

@@ -32,12 +32,14 @@ class Drives:
     profile: VehicleProfile
     bounded: tuple[int, int]
 
-    def batch(self, vehicles: int, k: int) -> SampleBatch:
-        """Sample ``k`` of every vehicle; the drives are dealt out in turn."""
-        drive = np.arange(vehicles) % len(self.truth)
+    def batch(self, vehicles: int, first: int, last: int | None = None) -> SampleBatch:
+        """Sample ``first`` of every vehicle, or all from there to ``last`` - 1; the drives are dealt out in turn."""
+        k = np.repeat(np.arange(first, first + 1 if last is None else last), vehicles)
+        slots = np.tile(np.arange(vehicles), len(k) // vehicles)
+        drive = slots % len(self.truth)
         return SampleBatch(
-            np.arange(vehicles), np.ones(vehicles, dtype=np.uint64), np.full(vehicles, k, dtype=np.uint64),
-            np.full(vehicles, START + k * self.profile.sample_time_ns), np.zeros(vehicles, dtype=np.uint32),
+            slots, np.ones(len(k), dtype=np.uint64), k.astype(np.uint64),
+            START + k * self.profile.sample_time_ns, np.zeros(len(k), dtype=np.uint32),
             self.measured[drive, k], self.inputs[drive, k],
         )  # fmt: skip
 

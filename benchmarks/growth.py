@@ -1,15 +1,14 @@
 """How the cost of an operation grows with generators, constraints, dimension and batch."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from benchmarks import plots
 from benchmarks.families import Sets, random_rows
 from benchmarks.report import Cell, Table
-from benchmarks.timing import median_seconds
+from benchmarks.timing import seconds, spread
 from reach_server.sets import ConstrainedZonotope, Zonotope
 
 GENERATORS, CONSTRAINTS, DIMENSION, BATCH = 40, 4, 2, 100
@@ -49,46 +48,35 @@ def run(quick: bool) -> Table:
             sizes = {"generators": GENERATORS, "constraints": CONSTRAINTS, "dimension": DIMENSION, "batch": BATCH}
             sizes[axis] = value
             sets = random_rows(sizes["batch"], sizes["generators"], sizes["constraints"], dimension=sizes["dimension"])
-            for name, time in _times(sets, 1 if quick else 5).items():
-                rows.append((axis, value, name, time / len(sets) * 1e6))
+            for name, times in _times(sets, 1 if quick else 5).items():
+                rows.append((axis, value, name, *spread(times, 1e6 / len(sets))))
     return Table(
-        "How cost grows",
+        "How the cost of set operations grows",
         f"Constrained zonotopes with random rows; where not varied {GENERATORS} generators, {CONSTRAINTS} constraints, "
         f"dimension {DIMENSION}, a batch of {BATCH}. Time by the number of sets in the batch.",
-        ("varied", "to", "operation", "µs a set"),
+        ("varied", "to", "operation", "µs a set", "25 %", "75 %"),
         rows,
+        keys=3,
     )
 
 
-def _times(sets: Sets, repeats: int) -> dict[str, float]:
+def _times(sets: Sets, repeats: int) -> dict[str, list[float]]:
     together = sets.all()
     found = {}
     for name, prepare in OPERATIONS.items():
         call = prepare(together)
         if call is not None and (name not in SLOW or len(sets) <= LARGEST):
-            found[name] = median_seconds(call, repeats)
+            call()
+            found[name] = [seconds(call)[0] for _ in range(repeats)]
     return found
 
 
-def plot(table: Table, folder: Path) -> Path:
-    """Draw the rows of ``run`` into ``folder/sets-cost.png``."""
-    figure = Figure(figsize=(10, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, 2, sharey=True)
+def plot(table: Table) -> Figure:
+    """A panel for each number that is varied."""
+    made = plots.figure(10, 7.5)
+    grid = made.subplots(2, 2, sharey=True)
     for place, axis in zip(grid.flat, AXES, strict=True):
-        for name in OPERATIONS:
-            points = [(row[1], row[3]) for row in table.rows if row[0] == axis and row[2] == name]
-            if points:
-                place.loglog(*zip(*points, strict=True), marker="o", markersize=4, label=name)
-        ticks = sorted({int(row[1]) for row in table.rows if row[0] == axis})
-        place.set_xticks(ticks, [str(t) for t in ticks])
-        place.minorticks_off()
-        place.set_xlabel(f"{axis} ({UNITS[axis]})")
-        place.set_ylabel("µs a set")
-        place.grid(alpha=0.3)
+        plots.curves(place, plots.lines(table, axis), f"{axis} ({UNITS[axis]})", "µs a set", log=True)
     handles, labels = grid.flat[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "sets-cost.png"
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    return path
+    made.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    return made

@@ -1,18 +1,35 @@
-"""What a benchmark hands back, and how it is written down: Markdown for people, JSON for programs."""
+"""What a benchmark hands back, and the document that a run is kept as: JSON for programs and for later runs."""
 
-import os
-import platform
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-Cell = str | int | float
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    ValidationInfo,
+    computed_field,
+    field_serializer,
+    field_validator,
+)
+from pydantic.dataclasses import dataclass
 
-#: Packages whose versions say what was measured.
-PACKAGES = ("numpy", "scipy", "numba", "highspy", "zonoopt", "shapely", "eclipse-zenoh")
+from fleet_bus.errors import UsageError
+
+SUITE: Literal["fleet-reach benchmarks"] = "fleet-reach benchmarks"
+
+
+def _finite(value: object) -> object:
+    """JSON knows neither NaN nor infinities: None."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Number = Annotated[float | None, BeforeValidator(_finite)]
+Cell = Annotated[str | int | float | None, BeforeValidator(_finite)]
 
 
 @dataclass(frozen=True)
@@ -20,100 +37,116 @@ class Claim:
     """A figure of merit and what it must be."""
 
     text: str
-    value: float
+    value: Number
     relation: Literal["≥", "≤"]
     bound: float
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def met(self) -> bool:
-        """Does the figure keep the bound? NaN does not."""
+        """Does the figure keep the bound? What is not a number does not."""
+        if self.value is None:
+            return False
         return self.value >= self.bound if self.relation == "≥" else self.value <= self.bound
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under ``columns``, and a sentence on how they were obtained."""
+    """Rows under ``columns``, and how they were obtained. The first ``keys`` columns name a row, and no other one."""
 
     title: str
     note: str
     columns: tuple[str, ...]
     rows: list[tuple[Cell, ...]]
     claims: list[Claim] = field(default_factory=list)
+    keys: int = 1
+
+    @field_validator("rows", mode="before")
+    @classmethod
+    def _by_column(cls, rows: Any, info: ValidationInfo) -> Any:
+        columns = info.data.get("columns", ())
+        return [tuple(row[c] for c in columns if c in row) if isinstance(row, dict) else row for row in rows]
+
+    @field_validator("rows")
+    @classmethod
+    def _complete(cls, rows: list[tuple[Cell, ...]], info: ValidationInfo) -> list[tuple[Cell, ...]]:
+        width = len(info.data.get("columns", ()))
+        if any(len(row) != width for row in rows):
+            raise ValueError(f"a row has not one cell for each of {width} columns")
+        return rows
+
+    @field_serializer("rows")
+    def _named(self, rows: list[tuple[Cell, ...]]) -> list[dict[str, Cell]]:
+        return [dict(zip(self.columns, row, strict=True)) for row in rows]
+
+    def figures(self) -> Iterator[tuple[str, str, float]]:
+        """(row, column, value) of every number that is measured."""
+        for row in self.rows:
+            name = ", ".join(map(str, row[: self.keys]))
+            for column, cell in zip(self.columns[self.keys :], row[self.keys :], strict=True):
+                if isinstance(cell, int | float):
+                    yield name, column, float(cell)
 
 
-def conditions() -> dict[str, Any]:
-    """Date, machine and versions."""
-    versions = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
-    return {
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{_processor()}, {os.cpu_count()} cores, one thread per side, {platform.system()}",
-        "python": platform.python_version(),
-        "versions": versions,
-    }
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-def _processor() -> str:
-    models = Path("/proc/cpuinfo")
-    if models.is_file():
-        for line in models.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return f"{line.partition(':')[2].strip()} ({platform.machine()})"
-    return platform.machine()
+class Conditions(_Stored):
+    """Under which a run was made; ``date`` in UTC, ``load`` the mean number of busy cores in the minute before."""
+
+    date: str
+    machine: str
+    cores: int
+    threads: int
+    load: Number
+    python: str
+    commit: str | None
+    versions: dict[str, str]
 
 
-def as_json(where: dict[str, Any], tables: dict[str, Table]) -> dict[str, Any]:
-    """One document: the conditions, and the rows of every table by column."""
-    return {
-        **where,
-        "benchmarks": {
-            name: {
-                "title": table.title,
-                "note": table.note,
-                "rows": [dict(zip(table.columns, row, strict=True)) for row in table.rows],
-                "claims": [
-                    {"text": c.text, "value": c.value, "relation": c.relation, "bound": c.bound, "met": c.met}
-                    for c in table.claims
-                ],
-            }
-            for name, table in tables.items()
-        },
-    }
+class Outcome(_Stored):
+    """What became of a benchmark; ``message`` says why it failed or was not run, ``plot`` is a path in the folder."""
+
+    status: Literal["done", "failed", "not run"]
+    message: str = ""
+    seconds: Number = None
+    table: Table | None = None
+    plot: str | None = None
 
 
-def as_markdown(where: dict[str, Any], tables: dict[str, Table]) -> str:
-    """A page: what was asked first, then the tables."""
-    packages = ", ".join(f"{name} {number}" for name, number in where["versions"].items())
-    lines = [
-        f"# Benchmarks, {where['date']}",
-        "",
-        f"{where['machine']}; Python {where['python']}, {packages}.",
-        "Times are medians.",
-    ]
-    claims = [claim for table in tables.values() for claim in table.claims]
-    if claims:
-        lines += ["", "| asked | measured | wanted | |", "| --- | ---: | ---: | --- |"]
-        lines += [
-            f"| {c.text} | {_text(c.value)} | {c.relation} {_text(c.bound)} | {'met' if c.met else 'MISSED'} |"
-            for c in claims
-        ]
-    for table in tables.values():
-        lines += ["", f"## {table.title}", "", table.note, "", _row(table.columns)]
-        numeric = [all(not isinstance(row[i], str) for row in table.rows) for i in range(len(table.columns))]
-        lines.append(_row("---:" if n else "---" for n in numeric))
-        lines += [_row(_text(cell) for cell in row) for row in table.rows]
-    return "\n".join(lines) + "\n"
+class Report(_Stored):
+    """A run. ``quick``: few sets and repeats, so that figures say nothing but that it runs."""
+
+    suite: Literal["fleet-reach benchmarks"] = SUITE
+    format: Literal[1] = 1
+    complete: bool
+    quick: bool
+    conditions: Conditions
+    benchmarks: dict[str, Outcome]
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """Tables of the benchmarks that were finished."""
+        return {name: one.table for name, one in self.benchmarks.items() if one.table is not None}
+
+    @property
+    def claims(self) -> list[Claim]:
+        """Claims of all benchmarks."""
+        return [claim for table in self.tables.values() for claim in table.claims]
+
+    def as_text(self) -> str:
+        """The report as JSON."""
+        return self.model_dump_json(indent=2) + "\n"
 
 
-def _row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _text(cell: Cell) -> str:
-    if not isinstance(cell, float):
-        return str(cell)
-    return f"{cell:.3g}" if abs(cell) < 1000 else f"{cell:.0f}"
+def read(path: Path, option: str) -> Report:
+    """A report of an earlier run; raise ``UsageError`` if the file is none."""
+    try:
+        return Report.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{option} {path}: cannot be read: {error}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the document"
+        raise UsageError(f"{option} {path}: not a report of this suite: {where}: {first['msg']}") from None

@@ -48,6 +48,7 @@ def run(quick: bool) -> Table:
             Claim("strip, all families: median area of `tight` over exact", pooled, "≤", 1.2),
             Claim("strip: % of `tight` cuts that enlarge the set", larger, "≤", 0.0),
         ],
+        keys=2,
     )
 
 

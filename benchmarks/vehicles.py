@@ -87,6 +87,7 @@ def run(quick: bool) -> Table:
         ("cuts", "vehicles", "ms a vehicle, one batch", "ms a vehicle, single calls", "ratio", "difference"),
         rows,
         claims,
+        keys=2,
     )
 
 

@@ -15,7 +15,9 @@ from rich.markup import escape
 from fleet_bus.errors import FleetError, ScenarioError, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 from fleet_cli import offline
+from fleet_cli.bench import bench
 from fleet_cli.outputs import write_json
+from fleet_cli.paper.command import paper
 
 app = typer.Typer(
     name="fleet",
@@ -269,6 +271,8 @@ def replay(
 
 app.command()(offline.evaluate)
 app.command()(offline.calibrate)
+app.command()(paper)
+app.command()(bench)
 
 
 @app.command()

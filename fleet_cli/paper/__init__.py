@@ -1,0 +1,1 @@
+"""``fleet paper``: the tables and figures of the paper, recomputed on simulated drives and over a recording."""

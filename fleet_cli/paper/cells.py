@@ -1,0 +1,149 @@
+"""Cells of the tables: what one way to compute sets gives along some drives."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet_cli.paper.cuts import CutSets, Situation, holds
+from fleet_cli.paper.formulas import Floats, Formula
+from reach_server.sets import Zonotope
+
+NONE: Final = "none"
+KINDS: Final = ("zonotope", "constrained")
+#: The printed areas, m²: Tables I and II of [AJS+22], by formula and kind.
+PRINTED: Final = {
+    (NONE, "zonotope"): 9.722,
+    ("phi_p", "zonotope"): 9.311,
+    ("phi_p", "constrained"): 7.042,
+    ("phi_theta", "zonotope"): 0.124,
+    ("phi_theta", "constrained"): 0.076,
+    ("phi_r", "zonotope"): 9.109,
+    ("phi_r", "constrained"): 5.956,
+}
+
+Cut = Callable[[Zonotope, Formula, Situation, Floats], CutSets]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """S steps of a drive: the sets of the next position before any cut, what formulas refer to, and where it was."""
+
+    sets: Zonotope
+    at: Situation
+    truth: Floats
+
+    def take(self, steps: NDArray[np.bool_]) -> "Drive":
+        """Some of the steps, a mask (S,)."""
+        at = Situation(self.at.t[steps], self.at.last[steps], self.at.heading[steps], self.at.unknown)
+        return Drive(Zonotope(self.sets.center[steps], self.sets.generators[steps]), at, self.truth[steps])
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Mean areas in m² over all steps of all drives.
+
+    Attributes:
+        formula, kind: key of the formula or ``NONE``; one of ``KINDS``.
+        area: None where only states are counted.
+        uncut: of the same sets before any cut.
+        by_drive: area of each drive.
+        algorithm_2: what Algorithm 2 makes of the same sets.
+        outside, steps: true states outside of their set, of all that were checked.
+        microseconds: median over the drives of the time to cut one set in a batch of all steps.
+        printed: the paper's figure, None where it gives none or it is not comparable.
+        note: what to know about this cell.
+    """
+
+    formula: str
+    kind: str
+    area: float | None
+    uncut: float | None = None
+    by_drive: tuple[float, ...] = ()
+    algorithm_2: float | None = None
+    outside: int | None = None
+    steps: int | None = None
+    microseconds: float | None = None
+    printed: float | None = None
+    note: str = ""
+
+    @property
+    def ratio(self) -> float | None:
+        """Area over that before any cut."""
+        return None if self.area is None or not self.uncut else self.area / self.uncut
+
+    @property
+    def ratio_printed(self) -> float | None:
+        """Area over the printed one."""
+        return None if self.area is None or not self.printed else self.area / self.printed
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Cells under a heading. ``unsound`` marks demonstrations, whose states may lie outside."""
+
+    key: str
+    title: str
+    note: str
+    cells: tuple[Cell, ...]
+    unsound: bool = False
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+def uncut_cell(drives: Sequence[Drive], printed: float | None, note: str = "") -> Cell:
+    """The sets as they are."""
+    areas = [drive.sets.area() for drive in drives]
+    inside = [holds(drive.sets, drive.truth) for drive in drives]
+    area = _mean(areas)
+    return Cell(NONE, "zonotope", area, area, _each(areas), None, _outside(inside), _steps(drives), None, printed, note)
+
+
+def cut_cell(
+    drives: Sequence[Drive],
+    formula: Formula,
+    kind: str,
+    cut: Cut,
+    algorithm_2: Cut | None = None,
+    *,
+    printed: float | None = None,
+    note: str = "",
+) -> Cell:
+    """The sets cut by ``cut``, beside what ``algorithm_2`` makes of them."""
+    found, seconds = [], []
+    for drive in drives:
+        began = time.perf_counter()
+        found.append(cut(drive.sets, formula, drive.at, drive.truth))
+        seconds.append((time.perf_counter() - began) / len(drive.truth))
+    areas = [cuts.sets.area() for cuts in found]
+    other = None
+    if algorithm_2 is not None:
+        other = _mean([algorithm_2(d.sets, formula, d.at, d.truth).sets.area() for d in drives])
+    return Cell(
+        formula.key, kind, _mean(areas), _mean([drive.sets.area() for drive in drives]), _each(areas), other,
+        _outside([cuts.inside for cuts in found]), _steps(drives), float(np.median(seconds)) * 1e6, printed, note,
+    )  # fmt: skip
+
+
+def counted_cell(drives: Sequence[Drive], formula: Formula, cut: Cut, note: str) -> Cell:
+    """Only how many true states lie outside: areas of wrong sets say nothing."""
+    inside = [cut(drive.sets, formula, drive.at, drive.truth).inside for drive in drives]
+    return Cell(formula.key, "constrained", None, outside=_outside(inside), steps=_steps(drives), note=note)
+
+
+def _mean(areas: Sequence[Any]) -> float:
+    return float(np.concatenate(areas).mean())
+
+
+def _each(areas: Sequence[Any]) -> tuple[float, ...]:
+    return tuple(float(np.mean(area)) for area in areas)
+
+
+def _outside(inside: Sequence[Any]) -> int:
+    return int(sum(np.count_nonzero(~part) for part in inside))
+
+
+def _steps(drives: Sequence[Drive]) -> int:
+    return sum(len(drive.truth) for drive in drives)
