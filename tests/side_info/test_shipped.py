@@ -131,6 +131,28 @@ def test_the_motion_region_has_the_edges_of_its_derivation() -> None:
         assert (least(tau, 0.7, speed * tau * np.cos(directions), speed * tau * np.sin(directions)) > 0.0).all()
 
 
+def test_the_motion_region_as_printed_has_the_area_of_the_papers_table() -> None:
+    """0.646 m is the diagonal of T(x): with sides of that length its area would be 0.268 m², not 0.076 m²."""
+    scenario = Scenario.load("parking-lot-motion-paper")
+    printed = [p for p in scenario.predicates if p.name.startswith(("h6", "h7"))]
+    assert len(printed) == 4
+    turn, pitch, reach = np.radians(20.0), 0.008, 2.0
+    for yaw in (0.0, 0.8, 2.0, -2.8):
+        # Exchanged centres move the region, so it is looked for all around; they leave its area alone.
+        x1, x2 = (grid.ravel() for grid in np.meshgrid(*2 * (np.arange(-reach, reach, pitch),)))
+        count = len(x1)
+        states = {
+            "x1": np.append(np.zeros(count), x1),
+            "x2": np.append(np.zeros(count), x2),
+            "yaw": np.full(2 * count, yaw),
+            "t": np.append(np.full(count, 5.0), np.full(count, 5.01)),
+        }
+        inside = np.min([margins(p, states, count) for p in printed], axis=0) >= 0.0
+        assert inside.sum() * pitch**2 == pytest.approx(0.646**2 * np.tan(turn) / 2, rel=0.02)
+    assert 0.646**2 * np.tan(turn) / 2 == pytest.approx(0.076, abs=0.0005)
+    assert 0.646**2 * np.sin(2 * turn) == pytest.approx(0.268, abs=0.0005)
+
+
 def test_the_motion_region_as_printed_loses_most_vehicles() -> None:
     scenario = Scenario.load("parking-lot-motion-paper")
     states = driven("parking-lot", 1)
