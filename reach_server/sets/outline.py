@@ -26,6 +26,8 @@ EXACT = 1e-9
 ROUNDING = 1e-12
 #: A vertex must lie this far beyond a chord to count, relative to the same.
 BEYOND = 1e-13
+#: The edges of an outline turn by 2π in all, up to this.
+ONCE = 1e-3
 #: Certified directions of the polygon published where an outline fails.
 FALLBACK = 64
 MOST_VERTICES = 1 << 14
@@ -142,7 +144,11 @@ def trace(
             if found >= room or waiting >= room:
                 state = -2
                 break
-            if nx * (vx - here_x) + ny * (vy - here_y) > threshold:
+            # A vertex beyond a chord is between its ends, as all turns of a quadrant are by a right angle at most. Along
+            # an edge, rounding of the normal can raise a vertex past the end above the chord: going there, the outline
+            # would come back by another turn around the set.
+            along = ny * (here_x - vx) + nx * (vy - here_y)
+            if nx * (vx - here_x) + ny * (vy - here_y) > threshold and 0.0 < along < length:
                 pending[waiting, 0], pending[waiting, 1] = vx, vy
                 waiting += 1
                 continue
@@ -172,9 +178,13 @@ def trace(
             moved = max(moved, heights[i] - normals[i, 0] * right[i, 0] - normals[i, 1] * right[i, 1])
             moved = max(moved, heights[after] - normals[after, 0] * right[i, 0] - normals[after, 1] * right[i, 1])
         moved += 4.0 * EPS * (reach + abs(c[0]) + abs(c[1]))
+        around = 0.0
         for k in range(number):
             i, after = kept[k], kept[(k + 1) % number]
             turn = normals[i, 0] * normals[after, 0] + normals[i, 1] * normals[after, 1]
+            angle = math.atan2(normals[i, 0] * normals[after, 1] - normals[i, 1] * normals[after, 0], turn)
+            # Half a turn, at the end of a segment, has either sign.
+            around += angle + 2.0 * math.pi if angle < -3.0 else angle
             # Less than half a turn between neighbours; were it more, the corner would be far out, and not exact.
             share = moved / max(1.0 + turn, 1e-6)
             planes[p, k, 2] = heights[i] + 4.0 * EPS * (reach + abs(c[0]) + abs(c[1]))
@@ -187,6 +197,9 @@ def trace(
             inner[p, k] = inner[p, number - 1]
             outer[p, k] = outer[p, number - 1]
             planes[p, k] = planes[p, number - 1]
+        # What does not go round the set just once is no outline of it.
+        if extent > threshold and abs(around - 2.0 * math.pi) > ONCE:
+            moved = np.inf
         numbers[p] = number
         sizes[p, 0], sizes[p, 1], sizes[p, 2] = moved, extent, reach
     return outer, inner, planes, numbers, sizes

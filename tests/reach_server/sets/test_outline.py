@@ -170,3 +170,29 @@ def test_every_empty_ugly_set_is_found_empty() -> None:
     for case in CONSTRAINED:
         if case.n == 2:
             assert bool(outline.outline(case.c, case.G, case.A, case.b).empty) is not case.inhabited, case.name
+
+
+def test_an_outline_goes_round_once() -> None:
+    """A chord of 1.5 mm along an edge of 1.8 m: rounding of its normal raises the far end of the edge above it."""
+    first, second = 0.9001085711446106, 0.9001183151545563
+    generators = np.array([[first, 0, 0.9, 0, 0], [0, second, 0.9, 0, 0]])
+    matrix = np.array([[first, 0, 0.9, -1.7175000000000002, 0], [0, second, 0.9, 0, -1.702495836480543]])
+    offset = np.array([-0.08106117779440042, -0.09762247867401341])
+    center = np.array([0.3615611777944005, 1.6631266421934703])
+    found = outline.outline(center, generators, matrix, offset)
+    x, y = found.outer.T
+    # Shapely's clipping of the zonotope by both strips; twice that where the outline goes round twice.
+    assert float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2) == pytest.approx(9.0722206680, rel=1e-9)
+    assert bool(found.exact)
+
+
+def test_planar_cuts_never_enlarge_a_set() -> None:
+    rng = np.random.default_rng(1)
+    count = 4000
+    sides = np.concatenate([np.broadcast_to(np.diag([0.9, 0.9]), (count, 2, 2)), np.full((count, 2, 1), 0.9)], axis=2)
+    sets = Zonotope(rng.uniform(-1, 1, (count, 2)), sides * rng.uniform(0.9, 1.1, (count, 1, 1)))
+    strips = (([1.0, 0.0], 0.2805, 1.7175), ([0.0, 1.0], 0.839, 2.429))
+    cut, enclosing = ConstrainedZonotope.from_zonotope(sets), sets
+    for strip in strips:
+        cut, enclosing = cut.intersect_strip(*strip), enclosing.intersect_strip(*strip)
+    assert (cut.area() <= enclosing.area() * (1 + 1e-9)).all()
