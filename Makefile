@@ -12,10 +12,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 UV_VERSION := 0.13.9
 ARGS ?=
 
-.PHONY: help demo test lint bench docs requirements clean
+.PHONY: help demo paper test lint bench docs requirements clean
 
 help:
 	@echo "make demo          router, services and simulated vehicles on this machine"
+	@echo "make paper         the paper's tables and figures, recomputed"
 	@echo "make test          lint, documentation, tests"
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documentation into site/"
@@ -25,6 +26,9 @@ help:
 
 demo: $(VENV)/.compiled
 	@$(BIN)/fleet demo $(ARGS)
+
+paper: $(VENV)/.all-compiled
+	@$(BIN)/fleet paper $(ARGS)
 
 test: lint docs $(VENV)/.all-compiled
 	@$(BIN)/python -m pytest -q $(ARGS)
@@ -37,7 +41,7 @@ lint: $(VENV)/.dev
 docs: $(VENV)/.dev
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
 
-bench: $(VENV)/.all-compiled
+bench: $(VENV)/.dev $(VENV)/.all-compiled
 	@$(BIN)/fleet bench $(ARGS)
 
 # The first python that is new enough and can make a virtual environment; PYTHON=... overrides.
@@ -69,7 +73,7 @@ $(VENV)/.compiled: $(VENV)/.project
 	@$(BIN)/python -m reach_server.warm_up set_membership
 	@touch $@
 
-$(VENV)/.all-compiled: $(VENV)/.dev
+$(VENV)/.all-compiled: $(VENV)/.project
 	@$(BIN)/python -m reach_server.warm_up
 	@touch $@
 

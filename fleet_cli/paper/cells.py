@@ -12,11 +12,12 @@ from fleet_cli.paper.cuts import CutSets, Situation, holds
 from fleet_cli.paper.formulas import Floats, Formula
 from reach_server.sets import Zonotope
 
-NONE: Final = "none"
+NONE, NONE_RING = "none", "none_ring"
 KINDS: Final = ("zonotope", "constrained")
 #: The printed areas, m²: Tables I and II of [AJS+22], by formula and kind.
 PRINTED: Final = {
     (NONE, "zonotope"): 9.722,
+    (NONE_RING, "zonotope"): 9.722,
     ("phi_p", "zonotope"): 9.311,
     ("phi_p", "constrained"): 7.042,
     ("phi_theta", "zonotope"): 0.124,
@@ -47,13 +48,15 @@ class Cell:
     """Mean areas in m² over all steps of all drives.
 
     Attributes:
-        formula, kind: key of the formula or ``NONE``; one of ``KINDS``.
+        formula, kind: key of the formula, or ``NONE`` (the lot) or ``NONE_RING``; one of ``KINDS``.
         area: None where only states are counted.
         uncut: of the same sets before any cut.
         by_drive: area of each drive.
         algorithm_2: what Algorithm 2 makes of the same sets.
+        most_of_uncut, most_of_algorithm_2: the greatest area of a single set over that before any cut, and over that
+            after Algorithm 2.
         outside, steps: true states outside of their set, of all that were checked.
-        microseconds: median over the drives of the time to cut one set in a batch of all steps.
+        microseconds: median over the drives of the time for one set, its cuts and its area, in a batch of all steps.
         printed: the paper's figure, None where it gives none or it is not comparable.
         note: what to know about this cell.
     """
@@ -69,6 +72,8 @@ class Cell:
     microseconds: float | None = None
     printed: float | None = None
     note: str = ""
+    most_of_uncut: float | None = None
+    most_of_algorithm_2: float | None = None
 
     @property
     def ratio(self) -> float | None:
@@ -93,12 +98,12 @@ class Block:
     extra: dict[str, Any] = field(default_factory=dict)
 
 
-def uncut_cell(drives: Sequence[Drive], printed: float | None, note: str = "") -> Cell:
+def uncut_cell(drives: Sequence[Drive], key: str, printed: float | None) -> Cell:
     """The sets as they are."""
     areas = [drive.sets.area() for drive in drives]
     inside = [holds(drive.sets, drive.truth) for drive in drives]
     area = _mean(areas)
-    return Cell(NONE, "zonotope", area, area, _each(areas), None, _outside(inside), _steps(drives), None, printed, note)
+    return Cell(key, "zonotope", area, area, _each(areas), None, _outside(inside), _steps(drives), None, printed)
 
 
 def cut_cell(
@@ -112,18 +117,22 @@ def cut_cell(
     note: str = "",
 ) -> Cell:
     """The sets cut by ``cut``, beside what ``algorithm_2`` makes of them."""
-    found, seconds = [], []
+    found, areas, seconds = [], [], []
+    # What is compiled or loaded at the first call is no part of the times.
+    cut(drives[0].sets, formula, drives[0].at, drives[0].truth).sets.area()
     for drive in drives:
         began = time.perf_counter()
         found.append(cut(drive.sets, formula, drive.at, drive.truth))
+        areas.append(found[-1].sets.area())
         seconds.append((time.perf_counter() - began) / len(drive.truth))
-    areas = [cuts.sets.area() for cuts in found]
+    uncut = [drive.sets.area() for drive in drives]
     other = None
     if algorithm_2 is not None:
-        other = _mean([algorithm_2(d.sets, formula, d.at, d.truth).sets.area() for d in drives])
+        other = [algorithm_2(d.sets, formula, d.at, d.truth).sets.area() for d in drives]
     return Cell(
-        formula.key, kind, _mean(areas), _mean([drive.sets.area() for drive in drives]), _each(areas), other,
+        formula.key, kind, _mean(areas), _mean(uncut), _each(areas), None if other is None else _mean(other),
         _outside([cuts.inside for cuts in found]), _steps(drives), float(np.median(seconds)) * 1e6, printed, note,
+        most(areas, uncut), None if other is None else most(areas, other),
     )  # fmt: skip
 
 
@@ -131,6 +140,11 @@ def counted_cell(drives: Sequence[Drive], formula: Formula, cut: Cut, note: str)
     """Only how many true states lie outside: areas of wrong sets say nothing."""
     inside = [cut(drive.sets, formula, drive.at, drive.truth).inside for drive in drives]
     return Cell(formula.key, "constrained", None, outside=_outside(inside), steps=_steps(drives), note=note)
+
+
+def most(areas: Sequence[Any], of: Sequence[Any]) -> float:
+    """The greatest ratio of two areas of the same step."""
+    return float((np.concatenate(areas) / np.concatenate(of)).max())
 
 
 def _mean(areas: Sequence[Any]) -> float:

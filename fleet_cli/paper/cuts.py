@@ -1,6 +1,6 @@
 """Sets cut by the paper's functions: Algorithms 2 and 3 as they are published, and as this project does it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -53,10 +53,15 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutSets:
-    """Sets after their cuts, and whether each true state (S,) lies in its own."""
+    """Sets after their cuts, and what says whether each true state lies in its own."""
 
     sets: Zonotope | ConstrainedZonotope
-    inside: NDArray[np.bool_]
+    judge: Callable[[], NDArray[np.bool_]]
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Whether each true state (S,) lies in its set."""
+        return self.judge()
 
 
 def published_zonotopes(
@@ -77,7 +82,7 @@ def published_zonotopes(
     for row in _motion(formula.motion, at):
         center, generators = algorithm_2(center, generators, row)
     found = Zonotope(center, generators)
-    return CutSets(found, holds(found, truth))
+    return CutSets(found, lambda: holds(found, truth))
 
 
 def published_constrained(
@@ -101,7 +106,7 @@ def our_zonotopes(sets: Zonotope, formula: Formula, at: Situation, truth: Floats
             found.center, found.generators, normal, middle - radius, middle + radius, np.isfinite(radius)
         )
         found = Zonotope(cut.center, cut.generators[..., : int(cut.used.max())])
-    return CutSets(found, holds(found, truth))
+    return CutSets(found, lambda: holds(found, truth))
 
 
 def our_constrained(sets: Zonotope, formula: Formula, at: Situation, truth: Floats) -> CutSets:
@@ -134,11 +139,10 @@ def _rows(formula: Formula, at: Situation) -> list[Row]:
 def _constrained(sets: Zonotope, rows: list[Row], truth: Floats) -> CutSets:
     """The intersection with the rows; the truth is in it iff it is in the set and in every strip."""
     # The same set with parallel generators joined, which outlines are much quicker of.
-    found, inside = ConstrainedZonotope.from_zonotope(sets.simplify()), holds(sets, truth)
+    found = ConstrainedZonotope.from_zonotope(sets.simplify())
     for row in rows:
         found = found.intersect_strip(row.normal, row.middle, row.widened)
-        inside = inside & row.holds(truth)
-    return CutSets(found, inside)
+    return CutSets(found, lambda: np.all([holds(sets, truth), *(row.holds(truth) for row in rows)], axis=0))
 
 
 def printed_motion(sets: Zonotope, formula: Formula, at: Situation, truth: Floats) -> CutSets:

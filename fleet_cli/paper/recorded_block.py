@@ -10,7 +10,7 @@ from fleet_cli.paper.cells import KINDS, Block, Cell
 from fleet_cli.paper.drives import Data
 from fleet_cli.paper.formulas import FORMULAS
 from fleet_cli.paper.recording import Laid, Recorded, even_steps, history_tracks, lay_all, serve, split
-from fleet_cli.paper.study import OURS, PUBLISHED, Tell, drive_of
+from fleet_cli.paper.study import OURS, PUBLISHED, Tell, drive_of, none_of
 from vehicle_agent.recording import load_recording
 
 _SYMBOLS = {formula.key: formula.symbol for formula in FORMULAS}
@@ -38,8 +38,8 @@ class RecordedStudy:
             turn = laid.formula.motion.turn if laid.formula.motion is not None else None
             placed.append(where if turn is None else where | {"turn": math.degrees(turn)})
             drives = [self.drive(laid)]
-            if not found:
-                found.append(cells.uncut_cell(drives, None))
+            if laid.formula.motion is None:
+                found.append(cells.uncut_cell(drives, none_of(laid.formula), None))
             for way, ways, beside in (("published code", PUBLISHED, None), ("ours", OURS, cuts.published_zonotopes)):
                 found += [
                     cells.cut_cell(drives, laid.formula, kind, ways[kind], beside, note=f"{way}, {symbol}")
