@@ -68,7 +68,7 @@ class Recorded:
 
 
 def split(recording: Recording, profile: VehicleProfile) -> Recorded:
-    """The last segment is tested and the others are history, or the first part of a single one.
+    """The longest segment after the first is tested and the others are history, or the first part of a single one.
 
     Raises ``RecordingError`` for a recording that lacks the profile's columns, position or heading, or is too short.
     """

@@ -88,6 +88,7 @@ def trace(
         quadrant, waiting = 0, 0
         extent, threshold = 0.0, 0.0
         here_x, here_y = 0.0, 0.0
+        ex, ey, stretched = 0.0, 0.0, False
         while True:
             if quadrant < 4:
                 nx, ny = (1.0, 0.0, -1.0, 0.0)[quadrant], (0.0, 1.0, 0.0, -1.0)[quadrant]
@@ -109,7 +110,8 @@ def trace(
                     found += 1
                     pending[0] = corner[k + 1]
                     waiting = 1
-                ex, ey = pending[waiting - 1, 0] - here_x, pending[waiting - 1, 1] - here_y
+                if not stretched:
+                    ex, ey = pending[waiting - 1, 0] - here_x, pending[waiting - 1, 1] - here_y
                 length = math.sqrt(ex * ex + ey * ey)
                 if length <= threshold:
                     here_x, here_y = pending[waiting - 1, 0], pending[waiting - 1, 1]
@@ -144,14 +146,22 @@ def trace(
             if found >= room or waiting >= room:
                 state = -2
                 break
-            # A vertex beyond a chord is between its ends, as all turns of a quadrant are by a right angle at most. Along
-            # an edge, rounding of the normal can raise a vertex past the end above the chord: going there, the outline
-            # would come back by another turn around the set.
-            along = ny * (here_x - vx) + nx * (vy - here_y)
-            if nx * (vx - here_x) + ny * (vy - here_y) > threshold and 0.0 < along < length:
-                pending[waiting, 0], pending[waiting, 1] = vx, vy
-                waiting += 1
+            if nx * (vx - here_x) + ny * (vy - here_y) > threshold and not stretched:
+                # A vertex beyond a chord is between its ends, as a quadrant turns by a right angle in all.
+                # Where it is not, the chord is so short that its normal is mostly rounding, and its edge goes on to
+                # that vertex: going there, the outline would come back by another turn around the set. The edge takes
+                # the normal of the longer chord instead.
+                along = ny * (here_x - vx) + nx * (vy - here_y)
+                stretched = along < -threshold or along > length + threshold
+                if along > length + threshold:
+                    ex, ey = vx - here_x, vy - here_y
+                elif stretched:
+                    ex, ey = pending[waiting - 1, 0] - vx, pending[waiting - 1, 1] - vy
+                else:
+                    pending[waiting, 0], pending[waiting, 1] = vx, vy
+                    waiting += 1
                 continue
+            stretched = False
             normals[found, 0], normals[found, 1] = nx, ny
             heights[found], first[found] = height, 0
             left[found, 0], left[found, 1] = here_x, here_y

@@ -196,3 +196,35 @@ def test_planar_cuts_never_enlarge_a_set() -> None:
     for strip in strips:
         cut, enclosing = cut.intersect_strip(*strip), enclosing.intersect_strip(*strip)
     assert (cut.area() <= enclosing.area() * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_strips_that_nearly_touch_corners_leave_one_turn_around_the_set(seed: int) -> None:
+    """Edges of 1e-14 to 1e-1: the normal of a short chord is mostly rounding, and the walk must not go on by it."""
+    rng, count = np.random.default_rng(seed), 1000
+    generators = np.zeros((count, 2, 3))
+    generators[:, 0, 0], generators[:, 1, 1] = 0.9 + 1e-4 * rng.uniform(0, 2, (2, count))
+    generators[:, :, 2] = 0.9
+    center, reach = rng.normal(size=(count, 2)), np.abs(generators).sum(axis=-1)
+    cut = ConstrainedZonotope.from_zonotope(Zonotope(center, generators))
+    bounds = []
+    for axis in (0, 1):
+        near = rng.choice([-1.8, -1e-4, 0.0, 1e-4, -0.9, 0.9], count)
+        near += rng.choice([-1, 1], count) * 10 ** rng.uniform(-14, -0.5, count)
+        low = np.clip(near, -reach[:, axis], reach[:, axis] - 0.2)
+        high = reach[:, axis] + np.where(rng.random(count) < 0.5, 1, -1) * 10 ** rng.uniform(-12, -1, count)
+        bounds += [low, high]
+        middle, radius = center[:, axis] + (low + high) / 2, (high - low) / 2
+        cut = cut.intersect_strip(np.tile(np.eye(2)[axis], (count, 1)), middle, radius)
+    found = outline.outline(cut.center, cut.generators, cut.constraint_matrix, cut.constraint_offset)
+    assert found.exact.all()
+    # No more room than 8 generators and 2 rows take: refinement ends.
+    assert found.outer.shape[1] < 40
+    corners = np.array([[1, 1, 1], [-1, 1, 1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, -1, 1]])
+    areas = cut.area()
+    for k in range(0, count, 10):
+        whole = Polygon(corners @ generators[k].T)
+        true = whole.intersection(Polygon([(bounds[0][k], bounds[2][k]), (bounds[1][k], bounds[2][k]),
+                                           (bounds[1][k], bounds[3][k]), (bounds[0][k], bounds[3][k])]))  # fmt: skip
+        assert areas[k] == pytest.approx(true.area, rel=1e-8)
+    assert (areas <= Zonotope(center, generators).area() * (1 + 1e-9)).all()
