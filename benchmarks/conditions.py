@@ -29,7 +29,7 @@ def conditions() -> Conditions:
         machine=f"{_processor()}, {platform.system()}",
         cores=int(cores),
         threads=max(int(os.environ.get(name, cores)) for name in THREADS),
-        load=os.getloadavg()[0],
+        load=load(),
         python=platform.python_version(),
         commit=_commit(),
         versions={name: _version(name) for name in PACKAGES},
@@ -43,6 +43,17 @@ def busy(where: Conditions) -> str | None:
     return f"{where.load:.1f} of {where.cores} cores were busy in the minute before the start: do not rely on the times"
 
 
+def load() -> float:
+    """Mean number of busy cores in the last minute."""
+    return os.getloadavg()[0]
+
+
+def changed(outside: str) -> list[str]:
+    """Tracked files of the checkout that differ from its commit, but for a folder; none where there is no checkout."""
+    found = _git("diff", "--name-only", "-z", "HEAD", "--", ".", f":(exclude){outside}")
+    return [name for name in (found or "").split("\0") if name]
+
+
 def _version(name: str) -> str:
     try:
         return version(name)
@@ -52,16 +63,21 @@ def _version(name: str) -> str:
 
 def _commit() -> str | None:
     """Commit of the checkout, with a + if files differ from it; None where there is none."""
+    found, different = _git("rev-parse", "--short", "HEAD"), _git("status", "--porcelain", "--untracked-files=no")
+    if found is None or different is None:
+        return None
+    return found.strip() + ("+" if different.strip() else "")
+
+
+def _git(*words: str) -> str | None:
+    """What git says of the checkout; None where there is none."""
     if not (ROOT / ".git").exists():
         return None
     try:
-        found, changed = (
-            subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=True, timeout=10)
-            for words in (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
-        )
+        called = ["git", "-C", str(ROOT), *words]
+        return subprocess.run(called, capture_output=True, text=True, check=True, timeout=10).stdout
     except (OSError, subprocess.SubprocessError):
         return None
-    return found.stdout.strip() + ("+" if changed.stdout.strip() else "")
 
 
 def _processor() -> str:

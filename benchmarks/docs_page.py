@@ -3,6 +3,7 @@
 ``python -m benchmarks.docs_page`` makes page and plots anew from the figures they were made of.
 """
 
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,15 +11,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from benchmarks.conditions import ROOT
-from benchmarks.files import write as write_file
+from benchmarks.conditions import ROOT, changed, load
 from benchmarks.page import claims_table, conditions_lines, figures_lines, text
 from benchmarks.report import Outcome, Report, read
 from benchmarks.suite import draw
 from fleet_bus.errors import UsageError
+from fleet_cli.outputs import write_text
 
 DOCS: Final = ROOT / "docs"
 PAGE, FIGURES = "benchmarks.md", "benchmarks.json"
+#: Busy cores of all, before the start, from which on nothing is published.
+TOO_BUSY: Final = 0.7
 #: Rows beyond which a table is folded away.
 LONG: Final = 24
 
@@ -99,12 +102,24 @@ def page(report: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def check(*, whole: bool) -> None:
-    """Raise ``UsageError`` unless the page can be written: only from a full run, and in a checkout."""
+def check(*, whole: bool, even_so: bool = False) -> None:
+    """Raise ``UsageError`` unless the page can be written: only from a full run, and in a checkout; and unless
+    ``even_so``, only of code that is committed, on a machine with little else to do."""
     if not whole:
         raise UsageError("--docs: only a full run of all benchmarks makes the page: leave names and --quick away")
     if not (DOCS / "index.md").is_file():
         raise UsageError(f"--docs: {DOCS} is not the documentation of a checkout")
+    if even_so:
+        return
+    if files := changed(outside="docs"):
+        named = ", ".join(files[:5]) + (", …" if len(files) > 5 else "")
+        raise UsageError(f"--docs: the figures would be of no commit: commit {named} first, or add --even-so")
+    cores = os.cpu_count() or 1
+    if (busy := load()) > TOO_BUSY * cores:
+        raise UsageError(
+            f"--docs: {busy:.1f} of {cores} cores were busy in the last minute: end other work and wait until less "
+            f"than {TOO_BUSY * cores:.1f} are, or add --even-so"
+        )
 
 
 def write(report: Report, folder: Path) -> Path:
@@ -112,8 +127,8 @@ def write(report: Report, folder: Path) -> Path:
     for name, outcome in report.benchmarks.items():
         if outcome.plot is not None:
             shutil.copyfile(folder / outcome.plot, DOCS / _picture(name))
-    write_file(DOCS / FIGURES, report.as_text())
-    write_file(DOCS / PAGE, page(report))
+    write_text("--docs", DOCS / FIGURES, report.as_text())
+    write_text("--docs", DOCS / PAGE, page(report))
     return DOCS / PAGE
 
 
@@ -156,7 +171,7 @@ def renew() -> None:
     for name, outcome in report.benchmarks.items():
         if outcome.plot is not None:
             draw(import_module(f"benchmarks.{name}"), report.tables[name], DOCS / _picture(name))
-    write_file(DOCS / PAGE, page(report))
+    write_text("--docs", DOCS / PAGE, page(report))
 
 
 if __name__ == "__main__":

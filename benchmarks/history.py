@@ -1,13 +1,14 @@
 """Earlier runs, and what has changed since."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Final
 
-from benchmarks.files import write
 from benchmarks.report import Claim, Report, read
 from fleet_bus.errors import UsageError
+from fleet_cli.outputs import write_text
 
 LATEST: Final = "latest"
 
@@ -48,20 +49,43 @@ class Comparison:
 
 
 def keep(report: Report, folder: Path) -> Path:
-    """Write a report to the history, under its date and time; the file."""
+    """Write a report to the history, under its date and time, numbered if there is one of that second; the file."""
     stamp = report.conditions.date.partition("+")[0].replace(":", "-")
-    path = folder / f"{stamp}Z.json"
-    write(path, report.as_text())
+    path = _taken(folder, f"{stamp}Z")
+    try:
+        write_text("-o", path, report.as_text())
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
     return path
 
 
-def earlier(which: str | None, folder: Path, *, quick: bool) -> tuple[str, Report] | None:
+def _taken(folder: Path, name: str) -> Path:
+    """A new and empty file, which no other run has; those of the same name are sorted as they came."""
+    for number in count(1):
+        path = folder / (f"{name}.json" if number == 1 else f"{name}_{number:02}.json")
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise UsageError(f"-o {path}: cannot be written: {error}") from None
+        return path
+    raise AssertionError
+
+
+def earlier(which: str | None, folder: Path, warn: Callable[[str], None], *, quick: bool) -> tuple[str, Report] | None:
     """The run to compare with, and its name: a file, the newest one of the history, or without a wish the newest one
-    of the same kind, if there is one. Raise ``UsageError`` if there is none, or it is not a report."""
+    of the same kind, if there is one. Files of the history that are no reports are left out, and ``warn`` is told;
+    raise ``UsageError`` if the file asked for is none, or there is no newest one."""
     if which is not None and which != LATEST:
         return Path(which).name, read(Path(which), "--compare")
     for path in sorted(folder.glob("*.json"), reverse=True):
-        report = read(path, "--compare")
+        try:
+            report = read(path, "history")
+        except UsageError as error:
+            warn(f"left out of the comparison: {error}")
+            continue
         if which == LATEST or report.quick == quick:
             return path.name, report
     if which == LATEST:

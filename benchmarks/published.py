@@ -1,8 +1,9 @@
-"""One update as published code does it: the noise matrix zonotope built, a pseudoinverse at every step of the horizon.
+"""One update as the algorithm is published: a pseudoinverse of the data at every step of the horizon.
 
 Alanwar et al. 2022, Algorithm 1, written down line by line with NumPy: the same samples, noise and horizon as the
-engine gets, and its two predicates as strips by Algorithm 2. No tuning against it: matrices are built once where the
-algorithm allows it, products are BLAS calls.
+engine gets, and its two predicates as strips by Algorithm 2. No tuning against it: what depends on the
+data alone is built once an update, products are BLAS calls. Of the matrix zonotope of the noise the algorithm uses
+nothing but its center; it can be built all the same, to see what that takes.
 """
 
 import numpy as np
@@ -30,16 +31,17 @@ def tube(
     """Sets of N steps from data (n, T), (q, T), (n, T): a linear model at each step about the center of the last set.
 
     ``plan`` (N, q) are the inputs with their lags, ``allowance`` (n,) the half-widths of Z_ε, ``strips`` (normal,
-    middle, radius). Without ``matrix_zonotope`` only the center of M_w is used, as the algorithm needs no more.
+    middle, radius). M_w is built once, before the first step; without ``matrix_zonotope`` only its center, and the
+    sets are the same, as the algorithm uses no more of it.
     """
     samples = states.shape[1]
+    if matrix_zonotope:
+        noise_center, _ = noise_matrix_zonotope(noise, samples)
+    else:
+        noise_center = np.repeat(noise[0][:, None], samples, axis=1)
     sets = []
     current = start
     for step_input in plan:
-        if matrix_zonotope:
-            noise_center, _ = noise_matrix_zonotope(noise, samples)
-        else:
-            noise_center = np.repeat(noise[0][:, None], samples, axis=1)
         center, generators = current
         data = np.vstack([np.ones(samples), states - center[:, None], inputs - step_input[:, None]])
         model = (after - noise_center) @ np.linalg.pinv(data)
@@ -47,10 +49,11 @@ def tube(
         low, high = residual.min(axis=1), residual.max(axis=1)
         n = len(center)
         moved_center = model[:, 0] + (low + high) / 2
+        # Z_L with -Z_w, then Z_ε, then Z_w: the centers of the noise cancel.
         moved = np.hstack([
             model[:, 1 : 1 + n] @ generators, np.diag((high - low) / 2), noise[1], np.diag(allowance), noise[1],
         ])  # fmt: skip
-        current = _reduced(moved_center + noise[0], moved, reduced_to)
+        current = _reduced(moved_center, moved, reduced_to)
         for normal, middle, radius in strips:
             current = _cut(current, normal, middle, radius)
         sets.append(current)

@@ -1,16 +1,15 @@
 """The suite: every benchmark after the other, and a report that is whole after each of them."""
 
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import FrameType, ModuleType
-from typing import Any, Final, Self
+from types import ModuleType
+from typing import Final
 
 from benchmarks.conditions import conditions
 from benchmarks.report import Outcome, Report, Table
+from fleet_cli.interruption import Interruption
 
 #: Names of the benchmarks, each a module of this package, and what they ask.
 BENCHMARKS: Final = {
@@ -39,15 +38,11 @@ NOT_YET, INTERRUPTED = "its turn did not come", "interrupted"
 Tell = Callable[[int, str, Outcome | None], None]
 
 
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM."""
-
-
 def run(names: Sequence[str], keep: Callable[[Report], None], plots: Path, tell: Tell, *, quick: bool) -> Report:
     """Run benchmarks; ``keep`` is called with the report before the first of them and after each.
 
-    One that raises is marked as failed, and the others go on; SIGINT and SIGTERM end the run with what was finished.
-    Plots are drawn into ``plots``. Main thread only.
+    One that raises is marked as failed, and the others go on; SIGINT and SIGTERM end the run with what was finished
+    (in the main thread; in others they are not heard). Plots are drawn into ``plots``.
     """
     outcomes = {name: Outcome(status="not run", message=NOT_YET) for name in names}
     where = conditions()
@@ -56,23 +51,24 @@ def run(names: Sequence[str], keep: Callable[[Report], None], plots: Path, tell:
         complete = all(outcome.status == "done" for outcome in outcomes.values())
         return Report(complete=complete, quick=quick, conditions=where, benchmarks=outcomes)
 
-    with _Signals() as signals:
+    with Interruption() as interruption:
         try:
-            with signals.held():
+            with interruption.held():
                 keep(report())
             for number, name in enumerate(names, 1):
                 tell(number, name, None)
-                outcome = _measure(name, plots, quick=quick)
-                with signals.held():
+                outcome = _measure(name, plots, interruption, quick=quick)
+                with interruption.held():
                     outcomes[name] = outcome
                     keep(report())
                     tell(number, name, outcome)
-        except Interrupted:
-            with suppress(Interrupted), signals.held():
-                for name in names:
-                    if outcomes[name].message == NOT_YET:
-                        outcomes[name] = Outcome(status="not run", message=INTERRUPTED)
-                keep(report())
+        except KeyboardInterrupt as error:
+            # Noted first, so that nothing comes between any more.
+            interruption.is_cause_of(error)
+            for name in names:
+                if outcomes[name].message == NOT_YET:
+                    outcomes[name] = Outcome(status="not run", message=INTERRUPTED)
+            keep(report())
     return report()
 
 
@@ -81,7 +77,15 @@ def interrupted(report: Report) -> bool:
     return any(outcome.message == INTERRUPTED for outcome in report.benchmarks.values())
 
 
-def _measure(name: str, plots: Path, *, quick: bool) -> Outcome:
+def _measure(name: str, plots: Path, interruption: Interruption, *, quick: bool) -> Outcome:
+    """What became of a benchmark; raise ``KeyboardInterrupt`` if a signal came, whatever was made of it inside."""
+    outcome = _attempt(name, plots, interruption, quick=quick)
+    if interruption.asked:
+        raise KeyboardInterrupt
+    return outcome
+
+
+def _attempt(name: str, plots: Path, interruption: Interruption, *, quick: bool) -> Outcome:
     began = time.perf_counter()
     table = None
     try:
@@ -94,6 +98,9 @@ def _measure(name: str, plots: Path, *, quick: bool) -> Outcome:
         draw(module, table, plot)
         return Outcome(status="done", seconds=seconds, table=table, plot=f"{plots.name}/{plot.name}")
     except Exception as error:
+        # Compiled code makes a SystemError of it.
+        if interruption.is_cause_of(error):
+            raise KeyboardInterrupt from error
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in EXTRA:
             missing = f"{error.name} is not installed: install fleet-reach[bench]"
             return Outcome(status="not run", message=missing)
@@ -105,36 +112,3 @@ def draw(module: ModuleType, table: Table, path: Path) -> None:
     """Draw the plot of a benchmark that has one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     module.plot(table).savefig(path, dpi=110, metadata={"Software": None})
-
-
-class _Signals:
-    """SIGINT and SIGTERM raise ``Interrupted``, but not while they are held."""
-
-    def __init__(self) -> None:
-        self._held = self._waiting = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        self._before = {number: signal.signal(number, self._raise) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _raise(self, number: int, frame: FrameType | None) -> None:
-        if not self._held:
-            raise Interrupted
-        self._waiting = True
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Let nothing come between; what came is raised at the end."""
-        self._held = True
-        try:
-            yield
-        finally:
-            self._held = False
-        if self._waiting:
-            self._waiting = False
-            raise Interrupted

@@ -128,15 +128,20 @@ def run(quick: bool) -> Table:
         times = published_seconds(drives, 1 if quick else 7, matrix_zonotope=matrix_zonotope)
         middle = float(np.median(times))
         rows.append((name, "zonotope", 1, *spread(times, 1e6), max(times) / middle, None, None))
-        ratio = middle * 1e6 / alone["paper"]
-        claims.append(Claim(f"{name}: its time over that of paper, one vehicle", ratio, "≥", 1.0))
+        # The algorithm needs no matrix zonotope: only without is it a rival.
+        if not matrix_zonotope:
+            ratio = middle * 1e6 / alone["paper"]
+            claims.append(Claim(f"{name}: its time over that of paper, one vehicle", ratio, "≥", 1.0))
     return Table(
         "One update",
         f"A sample in, a tube of {HORIZON} steps out with its outlines, areas, boxes, verdicts and audit; window of "
         f"{window}, 4 states, 2 inputs, {fleets.LAGS} lags, {PREDICATES} predicates at every step, a known plan. "
         "'Longest' is the longest update over the median one, refits included; 'kB' what Python and NumPy hold a "
         "vehicle; 'area' that with side information over that without. 'As published' is one vehicle's update with a "
-        "pseudoinverse at every step, from its data matrices on: no message, window, outline or audit.",
+        "pseudoinverse at every step, from its data matrices on: no message, window, outline or audit. It uses "
+        "only the center of the matrix zonotope of the noise, so the row without it is the fair one to compare with; "
+        "the other builds all its generators once an update, as a literal reading does. Z_ε is zero on both sides: the "
+        "method `paper` fits in the world frame, where bounds of slopes in the car's frame say nothing.",
         ("method", "cuts", "vehicles", "µs a vehicle", "25 %", "75 %", "longest", "kB a vehicle", "area"),
         rows,
         claims,

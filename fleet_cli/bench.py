@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fleet_bus.errors import UsageError
-from fleet_cli.outputs import check_writable, make_folder, write_json
+from fleet_cli.outputs import check_writable, make_folder, write_json, write_text
 
 if TYPE_CHECKING:
     from benchmarks.history import Comparison
@@ -32,6 +32,9 @@ def bench(
     ] = None,
     threshold: Annotated[float, typer.Option(help="Show figures that changed by more than this, %.", min=0.0)] = 10.0,
     docs: Annotated[bool, typer.Option("--docs", help="Write what was measured into docs/ of this checkout.")] = False,
+    even_so: Annotated[
+        bool, typer.Option("--even-so", help="With --docs: on a busy machine and with uncommitted changes, too.")
+    ] = False,
     list_: Annotated[bool, typer.Option("--list", help="Name the benchmarks and what they ask.")] = False,
 ) -> None:
     """Speed and tightness beside peers, in one report that is kept and compared with the one before."""
@@ -50,22 +53,21 @@ def bench(
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**THREADS, **os.environ})
 
     from benchmarks import docs_page, history
-    from benchmarks.files import write
     from benchmarks.page import as_markdown
 
     for folder in (output, output / "plots", output / "history"):
         make_folder("-o", folder)
     check_writable("--json", json_file)
     if docs:
-        docs_page.check(whole=not names and not quick)
-    earlier = history.earlier(compare, output / "history", quick=quick)
+        docs_page.check(whole=not names and not quick, even_so=even_so)
+    earlier = history.earlier(compare, output / "history", _warn, quick=quick)
 
     def comparison(report: "Report") -> "Comparison | None":
         return None if earlier is None else history.compare(*earlier, report, threshold)
 
     def keep(report: "Report") -> None:
-        write(output / "report.json", report.as_text())
-        write(output / "report.md", as_markdown(report, comparison(report)))
+        write_text("-o", output / "report.json", report.as_text())
+        write_text("-o", output / "report.md", as_markdown(report, comparison(report)))
 
     chosen = list(dict.fromkeys(names or suite.BENCHMARKS))
     report = suite.run(chosen, keep, output / "plots", _teller(len(chosen)), quick=quick)
@@ -79,6 +81,10 @@ def bench(
         print(f"docs: {written}", file=sys.stderr)
     if not report.complete:
         sys.exit(130 if suite.interrupted(report) else 1)
+
+
+def _warn(what: str) -> None:
+    Console(stderr=True, highlight=False).print(f"[bold yellow]warning[/]: {escape(what)}", soft_wrap=True)
 
 
 def _teller(count: int) -> Callable[[int, str, "Outcome | None"], None]:

@@ -1,7 +1,9 @@
-"""Files that commands write, with errors that name the option."""
+"""Files that commands write: whole or not at all, with errors that name the option."""
 
 import json
 import os
+import secrets
+import stat
 from pathlib import Path
 
 from fleet_bus.errors import UsageError
@@ -27,7 +29,7 @@ def make_folder(option: str, path: Path) -> None:
         raise UsageError(f"{option} {path}: cannot be written into")
 
 
-def write_json(document: object, path: Path | None) -> None:
+def write_json(document: object, path: Path | None, option: str = "--json") -> None:
     """Write a document as JSON to a file, or to stdout for '-'; raise ``UsageError`` if that fails."""
     if path is None:
         return
@@ -35,12 +37,41 @@ def write_json(document: object, path: Path | None) -> None:
     if str(path) == "-":
         print(text)
     else:
-        write_text("--json", path, text + "\n")
+        write_text(option, path, text + "\n")
 
 
 def write_text(option: str, path: Path, text: str) -> None:
-    """Write a file; raise ``UsageError`` naming ``option`` if that fails."""
+    """Write a file in one step, whatever interrupts; raise ``UsageError`` naming ``option`` if that fails.
+
+    A file that is there keeps its mode. Devices, pipes, links and files in a folder that takes no others are written in
+    place.
+    """
     try:
-        path.write_text(text, encoding="utf-8")
+        if _is_replaced(path):
+            _replace(path, text)
+        else:
+            path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be written: {error}") from None
+
+
+def _is_replaced(path: Path) -> bool:
+    """Whether another file may take the place of this one without anybody noticing."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return True
+    regular = stat.S_ISREG(found.st_mode) and found.st_nlink == 1
+    return regular and os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+
+
+def _replace(path: Path, text: str) -> None:
+    draft = path.with_name(f".{secrets.token_hex(8)}.new")
+    try:
+        with draft.open("x", encoding="utf-8") as file:
+            file.write(text)
+        if path.exists():
+            draft.chmod(stat.S_IMODE(path.stat().st_mode))
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)

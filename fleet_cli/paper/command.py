@@ -1,9 +1,7 @@
 """The command ``fleet paper``."""
 
-import signal
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -49,7 +47,6 @@ def paper(
         missing = "left out: the project's recordings are not installed; name one with --recording and --profile"
     elif not simulated_only:
         recorded = RecordedStudy(path, find_profile(profile or _PROFILE))
-    signal.signal(signal.SIGTERM, _interrupt)
     quiet = str(json_file) == "-"
     outcome = run.run(output, seed, recorded, missing, quiet=quiet)
     write_json(outcome.document, json_file)
@@ -61,7 +58,3 @@ def paper(
         raise typer.Exit(130)
     if outcome.failures:
         raise typer.Exit(1)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

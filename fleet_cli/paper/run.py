@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from fleet_cli.interruption import Interruption
 from fleet_cli.outputs import write_json, write_text
 from fleet_cli.paper import figures, report
 from fleet_cli.paper.cells import Block
@@ -55,24 +56,31 @@ def run(folder: Path, seed: int, recorded: RecordedStudy | None, missing: str, *
 
     def write() -> dict[str, Any]:
         document = report.as_document(seed, blocks, drawn, pending, None if recorded is not None else missing)
-        write_json(document, folder / "report.json")
+        write_json(document, folder / "report.json", "-o")
         write_text("-o", folder / "report.md", report.as_markdown(document))
         return document
 
-    document = write()
-    with _progress(quiet) as progress:
+    with Interruption() as interruption, _progress(quiet) as progress:
         try:
+            with interruption.held():
+                document = write()
             for number, (title, compute) in enumerate(work, start=1):
                 task = progress.add_task(f"{number}/{len(work)} {title}", total=1.0)
                 began = time.perf_counter()
                 block = compute(lambda part, task=task: progress.update(task, completed=part))  # type: ignore[misc]
-                if block is not None:
-                    blocks.append(block)
-                pending.remove(title)
-                document = write()
+                if interruption.asked:
+                    raise KeyboardInterrupt
+                with interruption.held():
+                    if block is not None:
+                        blocks.append(block)
+                    pending.remove(title)
+                    document = write()
                 progress.remove_task(task)
                 progress.console.print(f"{number}/{len(work)} {title}: {time.perf_counter() - began:.1f} s")
-        except KeyboardInterrupt:
+        except BaseException as error:
+            # Compiled code makes another exception of the signal.
+            if not interruption.is_cause_of(error):
+                raise
             interrupted = True
     return Outcome(document, report.failures(document), interrupted)
 

@@ -1,12 +1,14 @@
 """The page of measured figures is what its figures give, and no other page states any."""
 
 import json
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from benchmarks import docs_page, suite
+from benchmarks import conditions, docs_page, suite
 from benchmarks.report import Outcome, Report, read
 from fleet_bus.errors import UsageError
 from tests.benchmarks import made
@@ -88,6 +90,38 @@ def test_a_report_becomes_page_figures_and_pictures(tmp_path: Path, monkeypatch:
     assert (tmp_path / "docs" / "benchmarks.md").read_text(encoding="utf-8") == docs_page.page(done)
     assert json.loads((tmp_path / "docs" / "benchmarks.json").read_text(encoding="utf-8"))["complete"]
     assert (tmp_path / "docs" / "pictures" / "bench-wire.png").read_bytes() == b"picture"
+
+
+def test_only_committed_code_on_a_machine_at_rest_is_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> None:
+        called = ["git", "-c", "user.name=n", "-c", "user.email=e@x", "-C", str(tmp_path), *words]
+        subprocess.run(called, check=True, capture_output=True)
+
+    monkeypatch.setattr(conditions, "ROOT", tmp_path)
+    monkeypatch.setattr(docs_page, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    loads = [0.0]
+    monkeypatch.setattr(os, "getloadavg", lambda: loads)
+    (tmp_path / "docs").mkdir()
+    for name in ("code.py", "docs/index.md"):
+        (tmp_path / name).write_text("one\n", encoding="utf-8")
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "all")
+    (tmp_path / "docs" / "index.md").write_text("two\n", encoding="utf-8")
+    docs_page.check(whole=True)
+    (tmp_path / "code.py").write_text("two\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"--docs: the figures would be of no commit: commit code\.py first, or add"):
+        docs_page.check(whole=True)
+    docs_page.check(whole=True, even_so=True)
+    git("commit", "-am", "more")
+    docs_page.check(whole=True)
+    loads[0] = 2.9
+    with pytest.raises(UsageError, match=r"--docs: 2\.9 of 4 cores were busy .* less than 2\.8 are, or add --even-so"):
+        docs_page.check(whole=True)
+    docs_page.check(whole=True, even_so=True)
+    with pytest.raises(UsageError, match="only a full run"):
+        docs_page.check(whole=False, even_so=True)
 
 
 @pytest.mark.parametrize("stated", STATED, ids=[one[1] for one in STATED])

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import history
 from benchmarks.page import as_markdown
-from benchmarks.report import Claim, Report, Table
+from benchmarks.report import Claim, Report, Table, read
 from fleet_bus.errors import UsageError
 from tests.benchmarks import made
 
@@ -62,14 +62,14 @@ def test_a_claim_that_turns_and_another_machine_are_told() -> None:
 
 
 def test_the_newest_run_of_the_same_kind_is_taken(tmp_path: Path) -> None:
-    assert history.earlier(None, tmp_path, quick=False) is None
+    assert history.earlier(None, tmp_path, pytest.fail, quick=False) is None
     with pytest.raises(UsageError, match="--compare latest: there is no earlier run"):
-        history.earlier("latest", tmp_path, quick=False)
+        history.earlier("latest", tmp_path, pytest.fail, quick=False)
     names = [history.keep(one, tmp_path).name for one in (at(9), at(10), at(11, quick=True))]
     assert names == [f"2026-11-22T{hour}-00-00Z.json" for hour in ("09", "10", "11")]
 
     def found(which: str | None, *, quick: bool) -> str:
-        earlier = history.earlier(which, tmp_path, quick=quick)
+        earlier = history.earlier(which, tmp_path, pytest.fail, quick=quick)
         assert earlier is not None
         return earlier[0]
 
@@ -79,7 +79,35 @@ def test_the_newest_run_of_the_same_kind_is_taken(tmp_path: Path) -> None:
     assert found(str(tmp_path / names[0]), quick=True) == names[0]
 
 
-def test_a_foreign_file_in_the_history_is_named(tmp_path: Path) -> None:
+def test_a_foreign_file_in_the_history_is_left_out_and_named(tmp_path: Path) -> None:
     (tmp_path / "zzz.json").write_text("{}", encoding="utf-8")
+    (tmp_path / "yyy.json").mkdir()
+    for which in (None, "latest"):
+        kept = history.keep(at(9), tmp_path)
+        told: list[str] = []
+        found = history.earlier(which, tmp_path, told.append, quick=False)
+        assert found is not None
+        assert found[0] == kept.name
+        assert [f"{name}.json: " in line for name, line in zip(("zzz", "yyy"), told, strict=True)] == [True, True]
+        assert "zzz.json: not a report of this suite" in told[0]
     with pytest.raises(UsageError, match=r"zzz\.json: not a report of this suite"):
-        history.earlier(None, tmp_path, quick=False)
+        history.earlier(str(tmp_path / "zzz.json"), tmp_path, told.append, quick=False)
+
+
+def test_runs_of_the_same_second_are_all_kept(tmp_path: Path) -> None:
+    runs = [made.report({"a": made.table([("x", float(number))])}) for number in range(11)]
+    kept = [history.keep(run, tmp_path) for run in runs]
+    assert sorted(kept) == kept
+    assert [read(path, "") for path in kept] == runs
+    found = history.earlier(None, tmp_path, pytest.fail, quick=False)
+    assert found == (kept[-1].name, runs[-1])
+
+
+def test_a_run_that_cannot_be_kept_leaves_no_empty_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(option: str, path: Path, text: str) -> None:
+        raise UsageError("full")
+
+    monkeypatch.setattr(history, "write_text", full)
+    with pytest.raises(UsageError, match="full"):
+        history.keep(at(9), tmp_path)
+    assert list(tmp_path.iterdir()) == []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.monitoring import QUICK_STEP_NS, Monitor, Task, follow, tasks
+from benchmarks.monitoring import QUICK_STEP_NS, Monitor, Task, different, follow, tasks
 from side_info.normal import Conjunction, Finally, Globally, Literal, reach_ns
 from tests.side_info.progression.readings import on_grid
 
@@ -46,3 +46,10 @@ def test_the_peer_is_given_what_it_gets_right() -> None:
         _, robustness = Monitor(formula, 1).follow(true)
         differ += (robustness > 0) != bool(on_grid(formula, true[None])[0, 0])
     assert differ == 0
+
+
+def test_equal_drives_are_counted_once() -> None:
+    true = np.zeros((5, 3, 3), dtype=np.bool_)
+    true[1, 2, 0] = true[3, 2, 0] = true[4, 0, 2] = True
+    assert different(true) == 3
+    assert different(true[..., :2]) == 2

@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 
 from benchmarks import suite
 from benchmarks.conditions import THREADS
-from benchmarks.report import Report
+from benchmarks.report import Report, Table
 from fleet_bus.errors import UsageError
 from fleet_cli.main import app
 from tests.benchmarks import made
@@ -85,6 +85,27 @@ def test_an_interrupted_run_keeps_what_was_finished(
     assert "## third\n\n**not run: interrupted**" in page
     assert len(list((tmp_path / "history").glob("*.json"))) == 1
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("lost", [False, True], ids=["another exception", "none"])
+def test_a_signal_that_a_benchmark_makes_something_else_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lost: bool
+) -> None:
+    def second(quick: bool) -> Table:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            signal.raise_signal(signal.SIGINT)
+            if not lost:
+                raise SystemError("a result with an exception set") from None
+        return made.table()
+
+    made.install(monkeypatch, first=made.works, second=second, third=made.raises)
+    assert bench(tmp_path).exit_code == 130
+    assert document(tmp_path) == {
+        "complete": False, "first": ("done", ""), "second": ("not run", "interrupted"),
+        "third": ("not run", "interrupted"),
+    }  # fmt: skip
 
 
 def test_a_signal_while_the_report_is_written_waits_until_it_is(tmp_path: Path) -> None:
