@@ -39,7 +39,8 @@ lint: $(VENV)/.dev
 	@$(BIN)/mypy --strict --no-error-summary
 
 docs: $(VENV)/.dev
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
+	@# Not --quiet: what is not logged, --strict does not count.
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir site
 
 bench: $(VENV)/.dev $(VENV)/.all-compiled
 	@$(BIN)/fleet bench $(ARGS)

@@ -16,7 +16,7 @@ from fleet_bus.errors import FleetError, ScenarioError, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 from fleet_cli import offline
 from fleet_cli.bench import bench
-from fleet_cli.outputs import write_json
+from fleet_cli.outputs import check_writable, write_json
 from fleet_cli.paper.command import paper
 
 app = typer.Typer(
@@ -291,6 +291,8 @@ def demo(
     from fleet_cli.demo import Demo
     from fleet_cli.reports import print_summary
 
+    check_writable("--json", json_file)
+    check_writable("--picture", picture)
     stop = stop_on_signals()
     to_stdout = json_file is not None and str(json_file) == "-"
     run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed)
@@ -302,5 +304,8 @@ def demo(
         run.draw(picture)
         if not to_stdout:
             print(f"picture: {picture}")
+    if stop.is_set():
+        print("interrupted: what came until then; it may have failed for want of time", file=sys.stderr)
+        sys.exit(130)
     if summary["failures"]:
         sys.exit(1)

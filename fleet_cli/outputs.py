@@ -24,7 +24,7 @@ def make_folder(option: str, path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{option} {path}: cannot be made: {error}") from None
+        raise UsageError(f"{option} {path}: cannot be made: {error.strerror or error}; name another folder") from None
     if not os.access(path, os.W_OK):
         raise UsageError(f"{option} {path}: cannot be written into")
 
@@ -52,7 +52,7 @@ def write_text(option: str, path: Path, text: str) -> None:
         else:
             path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"{option} {path}: cannot be written: {error}") from None
+        raise UsageError(f"{option} {path}: cannot be written: {error.strerror or error}") from None
 
 
 def _is_replaced(path: Path) -> bool:

@@ -42,7 +42,7 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: p
             with pytest.raises(raised) as caught:
                 write_json({"a": 2}, path, "--report")
         if raised is UsageError:
-            assert str(caught.value) == f"--report {path}: cannot be written: [Errno 28] No space left on device"
+            assert str(caught.value) == f"--report {path}: cannot be written: No space left on device"
         assert json.loads(path.read_text(encoding="utf-8")) == {"a": 1}
         assert list(tmp_path.iterdir()) == [path]
 
