@@ -1,6 +1,6 @@
 """``python -m reach_server.warm_up [METHOD…]``: compile what is compiled at its first call, so that no vehicle waits.
 
-The machine code is kept beside the sources, or in the user's cache; a second run takes seconds.
+The machine code is kept in the user's cache (``sets.kernel_cache``); a second run takes seconds.
 """
 
 import sys

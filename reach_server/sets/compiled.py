@@ -7,18 +7,15 @@ import numba
 import numpy as np
 
 from reach_server.sets.arrays import Array
+from reach_server.sets.kernel_cache import keep
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
-    """``function`` compiled at its first call; the machine code is cached beside the source, or in the user's cache.
-
-    The cache looks at the function's own file only: after a change in a kernel that kernels of other modules call,
-    delete their ``__pycache__``.
-    """
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    """``function`` compiled at its first call; the machine code is kept for later runs (``kernel_cache``)."""
+    return cast(Callable[P, T], keep(numba.njit(nogil=True, error_model="numpy")(function)))
 
 
 def borrowing(function: Callable[P, T]) -> Callable[P, T]:
@@ -26,7 +23,7 @@ def borrowing(function: Callable[P, T]) -> Callable[P, T]:
     takes longer than the work on small ones. Whoever calls keeps them alive."""
     # Numba's run time system, which counts, is an option that its types do not know.
     without: dict[str, Any] = {"_nrt": False}
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", **without)(function))
+    return cast(Callable[P, T], keep(numba.njit(nogil=True, error_model="numpy", **without)(function)))
 
 
 def summing(function: Callable[P, T]) -> Callable[P, T]:
@@ -37,13 +34,13 @@ def summing(function: Callable[P, T]) -> Callable[P, T]:
     is what tells there.
     """
     order_free = {"reassoc", "nsz"}
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=order_free)(function))
+    return cast(Callable[P, T], keep(numba.njit(nogil=True, error_model="numpy", fastmath=order_free)(function)))
 
 
 def borrowing_sum(function: Callable[P, T]) -> Callable[P, T]:
     """``summing`` for what makes no arrays, ``borrowing``."""
     options: dict[str, Any] = {"_nrt": False, "fastmath": {"reassoc", "nsz"}}
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function))
+    return cast(Callable[P, T], keep(numba.njit(nogil=True, error_model="numpy", **options)(function)))
 
 
 def inner(function: Callable[P, T]) -> Callable[P, T]:
