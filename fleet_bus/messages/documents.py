@@ -10,6 +10,7 @@ from fleet_bus.errors import MessageError
 
 Id = Annotated[str, Field(pattern=f"^{keys.ID_PATTERN.pattern}$")]
 Nanoseconds = Annotated[int, Field(gt=0, lt=2**63)]
+Clock = Annotated[tuple[float, Annotated[float, Field(ge=0.0)]], Field(strict=False)]
 
 
 def explain(error: ValidationError) -> str:
@@ -89,6 +90,7 @@ class EventKind(StrEnum):
     UNKNOWN_VEHICLE = "unknown_vehicle"
     PROFILE_REFUSED = "profile_refused"
     PROFILE_CONTRADICTED = "profile_contradicted"
+    PROFILE_CHANGED = "profile_changed"
     SCENARIO_REFUSED = "scenario_refused"
     CONTRADICTION = "contradiction"
     MISS = "miss"
@@ -97,17 +99,22 @@ class EventKind(StrEnum):
     JUMP = "jump"
     GLITCH = "glitch"
     VEHICLE_GONE = "vehicle_gone"
+    TWO_SOURCES = "two_sources"
+    ONE_SOURCE = "one_source"
+    CLOCK = "clock"
+    SECOND_SERVER = "second_server"
+    BEHIND = "behind"
 
 
 class Event(Document):
-    """Something that an operator should know about one vehicle."""
+    """Something that an operator should know about one vehicle, or about the service that tells it."""
 
     SCHEMA: ClassVar[str] = "fleet.event"
     MAX_BYTES: ClassVar[int] = 16384
 
     # What is on the wire is the text of the kind.
     kind: Annotated[EventKind, Field(strict=False)]
-    vehicle: Id
+    vehicle: Annotated[Id | None, Field(description="none for what concerns the service as a whole")] = None
     t: Nanoseconds
     source: Id
     message: Annotated[str, Field(max_length=2000)]
@@ -128,4 +135,13 @@ class ServiceStatus(Document):
     refused: dict[str, int] = Field(default_factory=dict, max_length=256)
     waiting: dict[Id, Annotated[str, Field(max_length=200)]] = Field(
         default_factory=dict, max_length=100, description="vehicles without a tube, and why; the first 100"
+    )
+    clocks: dict[Id, Clock] = Field(
+        default_factory=dict,
+        max_length=100,
+        description="of the 100 vehicles whose clocks are furthest off: stamp minus time of arrival, s, the greatest "
+        "of the last 10 to 20 s and by how much the others were less",
+    )
+    problems: list[Annotated[str, Field(max_length=300)]] = Field(
+        default_factory=list, max_length=32, description="what is wrong with the service as a whole, now"
     )
