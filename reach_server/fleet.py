@@ -113,6 +113,10 @@ class Fleet:
         known = self._vehicles.get(vehicle)
         return known is not None and bool(known.kept) and known.served is None
 
+    def scenario_source(self, name: str) -> str:
+        """Session of the service that publishes a scenario, empty where nobody does."""
+        return self._book.source(name)
+
     def clock_offsets(self) -> dict[str, tuple[float, float]]:
         """By vehicle, by how much its clock is ahead of the server's at least, and the spread of that (s)."""
         return {
@@ -143,7 +147,7 @@ class Fleet:
         known = self._known(vehicle)
         if known is None:
             raise MessageError("overflow", f"{MOST_VEHICLES} vehicles are known already")
-        known.seen = self._time(now)
+        known.seen, known.gone = self._time(now), False
         if known.profile != profile:
             self._check_usable(profile)
         known.offer(source, profile)
@@ -191,9 +195,18 @@ class Fleet:
             ]
         return events
 
+    def mark_gone(self, vehicle: str) -> None:
+        """A vehicle is certainly gone: it need not have been silent for ``SILENT`` seconds to be let go."""
+        if (known := self._vehicles.get(vehicle)) is not None:
+            known.gone = True
+
     def let_go(self, now: float) -> list[str]:
         """Forget vehicles that have been silent for long, or that more than enough are silent beside; their ids."""
-        silent = sorted((known.seen, vehicle) for vehicle, known in self._vehicles.items() if now - known.seen > SILENT)
+        silent = sorted(
+            (known.seen, vehicle)
+            for vehicle, known in self._vehicles.items()
+            if known.gone or now - known.seen > SILENT
+        )
         live = len(self._vehicles) - len(silent)
         # While nobody is heard it is the network that is silent.
         most = max(LEAST_SILENT_KEPT, live // 4) if live else len(silent)
@@ -372,6 +385,7 @@ class Fleet:
         if before is None:
             events += self._begin(vehicle, known, source)
         known.heard = known.seen = now
+        known.gone = False
         known.note_first(states)
         if arrived is not None:
             events += self._see_clock(vehicle, known, states, arrived, now)

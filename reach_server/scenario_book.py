@@ -1,6 +1,5 @@
 """Which scenarios and assignments are in force: from one writer each, of versions that only go up."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -58,11 +57,17 @@ class ScenarioBook:
         self._entries: dict[str, _Entry] = {}
         self._assignments: dict[tuple[str, str], Assignment] = {}
         self._contested: list[Contested] = []
+        self._followed: list[Followed] = []
 
     def scenario(self, name: str) -> Scenario | None:
         """The scenario of a name that is in force."""
         entry = self._entries.get(name)
         return None if entry is None else entry.scenario
+
+    def source(self, name: str) -> str:
+        """Session that writes a scenario, empty where none does."""
+        entry = self._entries.get(name)
+        return "" if entry is None or entry.writer.source is None else entry.writer.source.session
 
     def of_vehicle(self, vehicle: str) -> list[Assignment]:
         """Assignments of a vehicle."""
@@ -103,19 +108,21 @@ class ScenarioBook:
         self._assignments[key] = assignment
 
     def hear(self, source: str, now: float) -> None:
-        """A service was heard, by its status for instance: what it writes stays its own."""
+        """A service was heard, by its status for instance: it is still there, as the writer or as the one to follow."""
         for name, entry in self._entries.items():
-            if entry.writer.source == Source(source):
+            if Source(source) in (entry.writer.source, entry.writer.rival):
                 self._judge(entry, name, source, now)
 
-    def elapse(self, now: float) -> Iterator[Followed]:
+    def elapse(self, now: float) -> list[Followed]:
         """What comes into force because a service that wrote it is gone."""
         for entry in self._entries.values():
             change = entry.writer.elapse(now, SERVICE_GONE, SERVICE_GONE)
             if change in (Change.TAKEN_OVER, Change.LOST):
-                yield self._follow(entry)
+                self._followed.append(self._follow(entry))
             elif change is not Change.NONE:
                 entry.forget_held()
+        followed, self._followed = self._followed, []
+        return followed
 
     def contested(self) -> list[Contested]:
         """Scenarios that turned out to have two writers since the last call."""
@@ -143,6 +150,8 @@ class ScenarioBook:
             self._contested.append(Contested(name, before, rival))
         elif change in (Change.STAYED, Change.DISMISSED):
             entry.forget_held()
+        elif change in (Change.TAKEN_OVER, Change.LOST):
+            self._followed.append(self._follow(entry))
         return turn
 
     def _follow(self, entry: _Entry) -> Followed:

@@ -267,6 +267,7 @@ class ReachServer:
         intervals = {vehicle: self.fleet.interval(vehicle) for vehicle in waiting}
         for vehicle in self._presence.gone(heard, intervals, now):
             self._waiting.pop(vehicle, None)
+            self.fleet.mark_gone(vehicle)
             message = f"{vehicle} is gone: no samples come, and it is out of sight"
             self._publish_event(EngineEvent(EventKind.VEHICLE_GONE, vehicle, time.time_ns(), message))
         for vehicle in self.fleet.let_go(now):

@@ -26,8 +26,8 @@ class Vehicle:
 
     ``kept`` are samples that wait for a profile, ``held`` those of another source that may follow the writer;
     ``offered`` the profiles by session, of which ``profile`` is in force; ``awaits_profile``: the writer has not sent
-    one yet. ``heard`` (s) is when its newest sample came, ``seen`` (s) when anything did, ``kept_since`` (s) when the
-    first sample that is kept did.
+    one yet. ``heard`` (s) is when its newest sample came, ``seen`` (s) when anything did, ``gone`` whether it left since,
+    ``kept_since`` (s) when the first sample that is kept did.
     """
 
     profile: VehicleProfile | None = None
@@ -48,6 +48,7 @@ class Vehicle:
     clock: ClockOffset = field(default_factory=ClockOffset)
     heard: float = -float("inf")
     seen: float = -float("inf")
+    gone: bool = False
 
     @property
     def patience(self) -> float:

@@ -1,6 +1,9 @@
 """What has gone is let go of: vehicles, classes, and ids that never had a profile; and what is wrong with one vehicle
 stops no other one's."""
 
+import gc
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -28,6 +31,29 @@ def test_silent_vehicles_beyond_a_number_are_let_go_and_their_slots_serve_again(
     assert len(engine.vehicles) <= LEAST_SILENT_KEPT + 3
     assert engine.count == len(desk.fleet.vehicles)
     assert engine.window_filled().tolist().count(3) == engine.count - 1
+
+
+def test_two_thousand_ids_come_and_go_in_little_memory() -> None:
+    desk = Desk()
+    desk.fleet.set_profile("lives", SMALL)
+    held = []
+    tracemalloc.start()
+    for k in range(2000):
+        now = 2.0 * k
+        desk.fleet.set_profile(f"v{k}", SMALL, now=now)
+        desk.process(
+            desk.states(f"v{k}", 0, 3), *([] if k % 10 else [desk.states("lives", k // 10, k // 10 + 1)]), now=now
+        )
+        desk.fleet.mark_gone(f"v{k - 2}")
+        desk.fleet.let_go(now)
+        if k % 100 == 0:
+            gc.collect()
+            held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert len(desk.fleet.vehicles) <= LEAST_SILENT_KEPT + 4
+    # What the first few ids took stays, and serves those that come after them.
+    assert (held[-1] - held[1]) / 1900 < 100
+    assert (held[-1] - held[0]) / 2000 < 5000
 
 
 def test_silent_vehicles_are_let_go_after_a_time_and_live_ones_never() -> None:
