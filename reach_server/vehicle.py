@@ -26,7 +26,7 @@ class Vehicle:
 
     ``kept`` are samples that wait for a profile, ``held`` those of another source that may follow the writer;
     ``offered`` the profiles by session, of which ``profile`` is in force; ``awaits_profile``: the writer has not sent
-    one yet. ``heard`` (s) is when its newest sample came, ``seen`` (s) when anything did, ``gone`` whether it left since,
+    one yet. ``heard`` (s) is when its newest sample came, ``seen`` (s) when anything did, ``gone`` whether it has left,
     ``kept_since`` (s) when the first sample that is kept did.
     """
 
