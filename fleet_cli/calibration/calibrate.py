@@ -23,7 +23,7 @@ from fleet_cli.calibration.estimates import (
 from fleet_cli.evaluation import MethodFigures, Settings, Trial, evaluate, plan_trials
 from fleet_cli.evaluation.runs import choose, cut, keep, list_runs
 from fleet_cli.evaluation.trials import samples
-from reach_server.calibrated.learner import LEAST_BEYOND
+from reach_server.calibrated.learner import least_window
 from reach_server.engine import Engine
 from reach_server.regression import Layout
 from vehicle_agent.recording import Recording
@@ -258,7 +258,7 @@ def _window(draft: _Draft, recordings: Sequence[Recording]) -> None:
     """A window that the training part of the recordings can fill, but one that resolves the confidence."""
     total = sum(len(recording.t) for recording in recordings)
     if "window" not in draft.fields and total < 2 * VehicleProfile.model_fields["window"].default:
-        least = int(np.ceil(LEAST_BEYOND / (1 - draft.profile().confidence) - 1e-9))
+        least = least_window(draft.profile().confidence)
         draft.estimate("window", max(total // 2, least), f"half of the {total} samples, {least} at least")
 
 
