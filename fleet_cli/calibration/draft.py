@@ -117,10 +117,11 @@ def _never_recorded(recordings: list[Recording]) -> list[str]:
 
 def _moves_as(recordings: list[Recording], state: Mapping[str, Any], roles: Mapping[str, Any]) -> str | None:
     """The state without role by which the positions move, if it is one."""
-    if "position" not in roles:
+    there = set(recordings[0].state_names).intersection(*(recording.state_names for recording in recordings))
+    if not there.issuperset(roles.get("position", [""])):
         return None
     found = []
-    for name in may_be_speeds(state, roles):
+    for name in may_be_speeds({n: spec for n, spec in state.items() if n in there}, roles):
         ratio = agreement(recordings, roles["position"], name)
         if ratio is not None and 1 / _ALIKE <= ratio <= _ALIKE:
             found.append(name)

@@ -61,11 +61,14 @@ def _chords(recordings: Sequence[Recording], position: Sequence[str], span: int)
     length = np.linalg.norm(vector, axis=1)
     moving = length >= 0.5 * np.quantile(length, 0.9)
     noise = float(np.median(np.concatenate(jitter)))
-    if length[moving].max(initial=0.0) <= 0 or np.median(length[moving]) < _OVER_NOISE * noise:
+    if not moving.any() or not 0 < np.median(length[moving]) < math.inf:
+        return None
+    if np.median(length[moving]) < _OVER_NOISE * noise:
         return None
     return _Chords(span, vector[moving], np.concatenate(number)[moving], np.concatenate(first)[moving])
 
 
+@np.errstate(all="ignore")  # What overflows says nothing.
 def agreement(recordings: Sequence[Recording], position: Sequence[str], speed: str) -> float | None:
     """How far the position moves, as a part of what the speed says (median of chords in motion, in the units recorded);
     None where it does not move, or too little is there. Of the spans that say anything the one nearest to 1."""
@@ -83,9 +86,11 @@ def agreement(recordings: Sequence[Recording], position: Sequence[str], speed: s
             way[of] = run[chords.first[of] + chords.span] - run[chords.first[of]]
         if (way > 0).sum() >= _LEAST_CHORDS:
             ratios.append(float(np.median(np.linalg.norm(chords.vector[way > 0], axis=1) / way[way > 0])))
-    return min(ratios, key=lambda ratio: abs(math.log(max(ratio, 1e-300)))) if ratios else None
+    ratios = [ratio for ratio in ratios if 0 < ratio < math.inf]
+    return min(ratios, key=lambda ratio: abs(math.log(ratio))) if ratios else None
 
 
+@np.errstate(all="ignore")
 def heading_problem(recordings: Sequence[Recording], position: Sequence[str], heading: str) -> tuple[str, bool] | None:
     """What a heading seems to be that does not follow the motion as an angle in rad, counter-clockwise from the first
     position to the second, forwards or backwards; whether that is sure. None where it agrees or nothing moves."""

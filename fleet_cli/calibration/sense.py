@@ -58,8 +58,8 @@ def _roles(recordings: Sequence[Recording], fields: Mapping[str, Any]) -> dict[s
     there = set(recordings[0].state_names).intersection(*(r.state_names for r in recordings))
     found: dict[str, Any] = {}
     for role, names in roles.items():
-        listed = [names] if isinstance(names, str) else names
-        if isinstance(listed, list | tuple) and listed and all(isinstance(n, str) and n in there for n in listed):
+        listed = names if role == "position" else [names]
+        if isinstance(listed, list | tuple) and all(isinstance(n, str) and n in there for n in listed):
             found[role] = names
     if len(found.get("position", ())) != 2:
         found.pop("position", None)

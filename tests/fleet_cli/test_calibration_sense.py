@@ -227,10 +227,35 @@ def test_inputs_that_are_not_there() -> None:
 
 
 @pytest.mark.parametrize(
-    "roles", [{}, {"position": ["x"]}, {"position": ["x", "z"]}, {"speed": 3}, 7, {"heading": "w"}]
+    "roles",
+    [
+        {},
+        {"position": ["x"]},
+        {"position": ["x", "z"]},
+        {"speed": 3},
+        7,
+        {"heading": "w"},
+        {"speed": ["v"]},
+        {"position": "xy"},
+    ],
 )
 def test_roles_that_cannot_be_are_left_to_the_profile(roles: Any) -> None:
     assert found_in(wavy(600), {"roles": roles, "frame": "world"}) == Findings()
+
+
+@pytest.mark.parametrize(
+    "state", [{"x": "m", "y": "m", "z": "m/s"}, {"px": "m", "py": "m", "v": "m/s"}, {"x": 3, "y": None}]
+)
+def test_states_that_were_not_recorded_are_left_to_the_profile(state: dict[str, Any]) -> None:
+    assert not found_in(wavy(600), {"state": state}).problems
+
+
+@pytest.mark.parametrize("huge", [1e30, 1e200, 1e300])
+@pytest.mark.parametrize("column", [0, 2, 3])
+def test_huge_values_are_survived(huge: float, column: int) -> None:
+    one = wavy(600)
+    found_in(with_column(one, column, np.where(np.arange(600) == 300, huge, one.x[:, column])))
+    found_in(with_column(one, column, np.where(np.arange(600) % 2, huge, -huge)))
 
 
 def test_how_far_a_speed_goes_is_counted_over_known_ways() -> None:
