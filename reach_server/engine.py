@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import Audit, EventKind, StateFlag, VehicleProfile
+from fleet_bus.messages.methods import FROM_LIMITS
 from reach_server.assignments import Assignments, Instants
 from reach_server.branching import branching
 from reach_server.factor_sets import FactorSet
@@ -362,7 +363,7 @@ class Engine:
         return Tubes(
             tuple(names), limited.epoch, limited.seq, limited.t, self._times(limited), reach.steps, reach.free,
             reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of_limits(len(names)), ("limits",) * len(names), ((),) * len(names), notes,
+            self._labels.of_limits(len(names)), (FROM_LIMITS,) * len(names), ((),) * len(names), notes,
             self._verdicts(instants, reach.steps, true_sets=True), (), {},
         )  # fmt: skip
 

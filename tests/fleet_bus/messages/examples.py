@@ -29,6 +29,7 @@ from fleet_bus.messages import (
 )
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.methods import TUBE_METHODS
 
 T0 = 1_700_000_000_000_000_000
 
@@ -79,7 +80,7 @@ def tubes(draw: st.DrawFn) -> ReachTube:
         draw(npst.arrays(np.int64, (h,))),
         tuple(draw(st.lists(texts, min_size=n, max_size=n))),
         (draw(index), draw(index)),
-        draw(texts),
+        draw(st.sampled_from(TUBE_METHODS)),
         draw(st.sampled_from(Label)),
         draw(arrays((h, n))),
         draw(arrays((h, n, g), single)),
