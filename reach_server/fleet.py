@@ -184,6 +184,8 @@ class Fleet:
             before, rival = known.writer.source, known.writer.rival
             change = known.writer.elapse(now, known.patience, known.leave)
             events += self._changed(vehicle, known, change, before, rival)
+        for vehicle in self._waiting:
+            events += self._miss_profile(vehicle, self._vehicles[vehicle], now)
         for followed in self._book.elapse(now):
             others = () if followed.scenario is None else self._book.of_scenario(followed.scenario.name)
             events += self._apply_all({(a.scenario, a.vehicle): a for a in (*others, *followed.assignments)}.values())
@@ -478,14 +480,18 @@ class Fleet:
             self._refuse("no_profile", "too many samples wait for profiles", vehicle, len(states.t))
             return []
         dropped = known.keep(states, now)
-        waiting = self._waiting[vehicle] = waiting + len(states.t) - dropped
+        self._waiting[vehicle] = waiting + len(states.t) - dropped
         self._refuse("no_profile", f"publish the profile of {vehicle} on {keys.profile(vehicle)}", vehicle, dropped)
-        # The profile usually comes with the first samples; it is missing when samples go on without it.
-        if "profile" in known.told or now - known.kept_since <= PROFILE_PATIENCE or waiting <= INTERVAL_CHECK:
+        return self._miss_profile(vehicle, known, now)
+
+    def _miss_profile(self, vehicle: str, known: Vehicle, now: float) -> list[EngineEvent]:
+        """Tell once of a profile that has not come: usually it comes with the first samples, under load later."""
+        late = now - known.kept_since > PROFILE_PATIENCE and self._waiting[vehicle] > INTERVAL_CHECK
+        if "profile" in known.told or not late:
             return []
         known.told.add("profile")
         writer = None if known.profile is None else known.writer.source
-        return [fleet_events.profile_missing(vehicle, int(states.t[-1]), writer)]
+        return [fleet_events.profile_missing(vehicle, int(known.kept[-1].t[-1]), writer)]
 
     def _accept(
         self, vehicle: str, known: Vehicle, profile: VehicleProfile, states: StateBatch, events: list[EngineEvent]
