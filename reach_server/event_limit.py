@@ -1,4 +1,4 @@
-"""How often one vehicle may be told of: what happens with every sample is told a few times, and then how often it was."""
+"""How often one vehicle may be told of: what happens with every sample a few times, and then how often it was."""
 
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -20,7 +20,7 @@ class _Told:
 
 @dataclass(slots=True)
 class EventLimit:
-    """Holds back events beyond ``MOST`` of a kind about a vehicle within ``PERIOD`` seconds; ``withheld`` counts them."""
+    """Holds back what goes beyond ``MOST`` events of a kind about a vehicle in ``PERIOD`` seconds, and counts it."""
 
     withheld: int = 0
     _told: dict[tuple[str, EventKind], _Told] = field(default_factory=dict)
