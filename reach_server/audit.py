@@ -51,10 +51,11 @@ def bands(alpha: float) -> tuple[Ints, Ints]:
 
 def inside(
     predicted: FactorSet, measurement: Floats, y: Floats, angles: tuple[int, ...]
-) -> tuple[NDArray[np.bool_], Floats]:
+) -> tuple[NDArray[np.bool_], Floats, Floats]:
     """Whether each measured state ``y`` (B, n) lies in its set enlarged by ``measurement`` (n, g): exact up to 1e-7 of
-    the set; and by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of
-    that component; 0 inside, and where only constraints exclude the state. Angles are compared modulo 2π."""
+    the set; by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of
+    that component; 0 inside, and where only constraints exclude the state; and how many times as far from the center it
+    lies as the hull reaches (B,), in the component in which that is most, 0 inside. Angles are compared modulo 2π."""
     generators, matrix = predicted.generators, predicted.matrix
     if measurement.shape[1]:
         generators = stack_columns(generators, measurement)
@@ -65,23 +66,27 @@ def inside(
         point[:, i] = predicted.center[:, i] + wrap(y[:, i] - predicted.center[:, i])
     found = membership.contains(predicted.center, generators, matrix, predicted.offset, point)
     missed = np.flatnonzero(~found)
-    excess = np.zeros(len(y))
+    excess, times = np.zeros(len(y)), np.zeros(len(y))
     if len(missed):
-        half = np.abs(generators[missed]).sum(axis=-1)
-        excess[missed] = np.maximum(np.abs(point - predicted.center)[missed] - half, 0.0).max(axis=-1)
-    return found, excess
+        half, off = np.abs(generators[missed]).sum(axis=-1), np.abs(point - predicted.center)[missed]
+        excess[missed] = np.maximum(off - half, 0.0).max(axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            times[missed] = np.where(off > 0, off / half, 0.0).max(axis=-1)
+    return found, excess, times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
     """Predictions whose sample has come, one a vehicle: ``row`` (C,) of the batch and ``slot`` (C,); ``inside`` (C,)
-    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) the same without cuts."""
+    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) and ``times_free`` (C,) without cuts.
+    """
 
     row: NDArray[np.intp]
     slot: NDArray[np.intp]
     inside: NDArray[np.bool_]
     excess: Floats
     inside_free: NDArray[np.bool_]
+    times_free: Floats
 
 
 class _Sets:
@@ -164,17 +169,17 @@ class Predictions:
         slots = batch.vehicle[rows]
         if not len(rows):
             none = np.zeros(0, dtype=bool)
-            return Checks(rows, slots, none, np.zeros(0), none)
+            return Checks(rows, slots, none, np.zeros(0), none, np.zeros(0))
         self._waits[slots], self._met[slots] = False, True
-        held, excess = inside(self._cut.of(slots), measurement, batch.x[rows], angles)
-        free = held.copy()
+        held, excess, _ = inside(self._cut.of(slots), measurement, batch.x[rows], angles)
+        free, times = held.copy(), np.zeros(len(rows))
         missed = np.flatnonzero(~held)
         if len(missed):
             whole = self._free.of(slots[missed])
-            free[missed], beyond = inside(whole, measurement, batch.x[rows[missed]], angles)
+            free[missed], beyond, times[missed] = inside(whole, measurement, batch.x[rows[missed]], angles)
             off = batch.t[rows[missed]] != self._t[slots[missed]]
             held[missed[off]], excess[missed[off]] = free[missed[off]], beyond[off]
-        return Checks(rows, slots, held, excess, free)
+        return Checks(rows, slots, held, excess, free, times)
 
     def _awaited(self, batch: SampleBatch, slack: float) -> NDArray[np.intp]:
         """Rows of the samples that predictions wait for, one a vehicle."""

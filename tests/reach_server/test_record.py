@@ -29,7 +29,7 @@ def check(record: Record, slots: list[int], k: int, x: list[float]) -> tuple[lis
         np.array(slots, dtype=np.intp), keys[0], keys[1] + np.uint64(1), keys[2], np.zeros(count, dtype=np.uint32),
         np.array(x)[:, None], np.zeros((count, 0)),
     )  # fmt: skip
-    found = record.check(batch, 1.0, NONE, ())
+    found = record.check(batch, 1.0, NONE, (), np.zeros(count, dtype=bool))
     return found.misses, found.left.tolist(), found.returned.tolist()
 
 
