@@ -208,9 +208,12 @@ class Engine:
         newest = self.window.newest(held)[2]
 
         def block(wanted: Slots, length: int) -> Block:
-            samples = self.window.block(wanted, min(length, self.window.size))
-            # What was recorded before the vehicle started is no part of what scenarios speak about.
-            return replace(samples, valid=samples.valid & ~self.window.recorded(wanted, samples.t.shape[1]))
+            samples = self.window.block(wanted, min(length, self.window.size - 1))
+            # What was recorded before the vehicle started is no part of what scenarios speak about, and a pose that
+            # jumped there and back, or has only just jumped, says nothing about them.
+            length = samples.t.shape[1]
+            counts = ~(self.window.recorded(wanted, length) | self.window.stray(wanted, length))
+            return replace(samples, valid=samples.valid & counts)
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.

@@ -222,6 +222,22 @@ class Window:
         flags = self._ring.flags[slots[:, None], self._newest_places(slots, length)]
         return np.asarray(flags & int(StateFlag.HISTORY) != 0)
 
+    def stray(self, slots: NDArray[np.intp], length: int) -> NDArray[np.bool_]:
+        """Which of the newest ``length`` samples of the vehicles in ``slots`` (B,) stand alone, (B, length): they came
+        right after another one, but their pose does not follow from its, nor the next one's from theirs."""
+        length = min(length, self.size - 1)
+        rows, places = slots[:, None], self._newest_places(slots, length + 1)
+        run, stored = self._ring.run[rows, places], self._ring
+        alone = run[:, 1:] == 0
+        alone[:, :-1] &= run[:, 2:] == 0
+        alone &= np.arange(length)[None] > length - self.filled(slots)[:, None]
+        if alone.any():
+            epoch, seq, t = stored.epoch[rows, places], stored.seq[rows, places], stored.t[rows, places]
+            alone &= (epoch[:, 1:] == epoch[:, :-1]) & (seq[:, 1:] == seq[:, :-1] + np.uint64(1))
+            alone &= np.abs(np.diff(t, axis=1) - self._rules.interval) <= self._rules.slack
+            alone &= stored.flags[rows, places[:, 1:]] & int(StateFlag.NEW_TRAJECTORY) == 0
+        return np.asarray(alone)
+
     def newest(
         self, slots: NDArray[np.intp]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], Ints, NDArray[np.uint32]]:
