@@ -51,35 +51,48 @@ def bands(alpha: float) -> tuple[Ints, Ints]:
 
 def inside(
     predicted: FactorSet, measurement: Floats, y: Floats, angles: tuple[int, ...]
-) -> tuple[NDArray[np.bool_], Floats, Floats]:
+) -> tuple[NDArray[np.bool_], Floats]:
     """Whether each measured state ``y`` (B, n) lies in its set enlarged by ``measurement`` (n, g): exact up to 1e-7 of
-    the set; by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of
-    that component; 0 inside, and where only constraints exclude the state; and how many times as far from the center it
-    lies as the hull reaches (B,), in the component in which that is most, 0 inside. Angles are compared modulo 2π."""
+    the set; and by how much it does not (B,): the greatest excess of a component over the interval hull, in the unit of
+    that component; 0 inside, and where only constraints exclude the state. Angles are compared modulo 2π."""
     generators, matrix = predicted.generators, predicted.matrix
     if measurement.shape[1]:
         generators = stack_columns(generators, measurement)
         none = np.zeros((*matrix.shape[:2], measurement.shape[1]))
         matrix = np.concatenate([matrix, none], axis=2)
+    point = _turned(predicted, y, angles)
+    found = membership.contains(predicted.center, generators, matrix, predicted.offset, point)
+    missed = np.flatnonzero(~found)
+    excess = np.zeros(len(y))
+    if len(missed):
+        half = np.abs(generators[missed]).sum(axis=-1)
+        excess[missed] = np.maximum(np.abs(point - predicted.center)[missed] - half, 0.0).max(axis=-1)
+    return found, excess
+
+
+def times_as_far(predicted: FactorSet, measurement: Floats, y: Floats, angles: tuple[int, ...]) -> Floats:
+    """How many times as far from the center of its set each measured state lies as the set enlarged by ``measurement``
+    reaches (B,), in the component in which that is most; arguments as for ``inside``. Infinite where the set is flat.
+    """
+    half = np.abs(predicted.generators).sum(axis=-1) + np.abs(measurement).sum(axis=-1)
+    off = np.abs(_turned(predicted, y, angles) - predicted.center)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.asarray(np.where(off > 0, off / half, 0.0).max(axis=-1))
+
+
+def _turned(predicted: FactorSet, y: Floats, angles: tuple[int, ...]) -> Floats:
+    """The states ``y`` (B, n), angles in the turn next to the center."""
     point = y.copy()
     for i in angles:
         point[:, i] = predicted.center[:, i] + wrap(y[:, i] - predicted.center[:, i])
-    found = membership.contains(predicted.center, generators, matrix, predicted.offset, point)
-    missed = np.flatnonzero(~found)
-    excess, times = np.zeros(len(y)), np.zeros(len(y))
-    if len(missed):
-        half, off = np.abs(generators[missed]).sum(axis=-1), np.abs(point - predicted.center)[missed]
-        excess[missed] = np.maximum(off - half, 0.0).max(axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            times[missed] = np.where(off > 0, off / half, 0.0).max(axis=-1)
-    return found, excess, times
+    return point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
     """Predictions whose sample has come, one a vehicle: ``row`` (C,) of the batch and ``slot`` (C,); ``inside`` (C,)
-    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) and ``times_free`` (C,) without cuts.
-    """
+    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) the same without cuts; ``times_free``
+    (C,) as ``times_as_far`` of missed states without cuts, else 0."""
 
     row: NDArray[np.intp]
     slot: NDArray[np.intp]
@@ -171,12 +184,13 @@ class Predictions:
             none = np.zeros(0, dtype=bool)
             return Checks(rows, slots, none, np.zeros(0), none, np.zeros(0))
         self._waits[slots], self._met[slots] = False, True
-        held, excess, _ = inside(self._cut.of(slots), measurement, batch.x[rows], angles)
+        held, excess = inside(self._cut.of(slots), measurement, batch.x[rows], angles)
         free, times = held.copy(), np.zeros(len(rows))
         missed = np.flatnonzero(~held)
         if len(missed):
             whole = self._free.of(slots[missed])
-            free[missed], beyond, times[missed] = inside(whole, measurement, batch.x[rows[missed]], angles)
+            free[missed], beyond = inside(whole, measurement, batch.x[rows[missed]], angles)
+            times[missed] = times_as_far(whole, measurement, batch.x[rows[missed]], angles)
             off = batch.t[rows[missed]] != self._t[slots[missed]]
             held[missed[off]], excess[missed[off]] = free[missed[off]], beyond[off]
         return Checks(rows, slots, held, excess, free, times)

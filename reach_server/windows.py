@@ -189,7 +189,8 @@ class Window:
         return np.arange(max(count - self.size, 0), count) % self.size
 
     def followed(self, slots: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether the newest sample follows the one before it (B,), or is the only one held."""
+        """Whether the newest sample of the vehicles in ``slots`` (B,) follows the one before it, or is the only one
+        held: (B,)."""
         place = (self.count[slots] - 1) % self.size
         return np.asarray((self.count[slots] == 1) | (self._ring.run[slots, place] > 0))
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from reach_server.audit import FEW, RECENT, Predictions, bands, binomial_band, inside
+from reach_server.audit import FEW, RECENT, Predictions, bands, binomial_band, inside, times_as_far
 from reach_server.factor_sets import FactorSet
 from reach_server.rows import take
 from reach_server.windows import Floats, SampleBatch
@@ -21,7 +21,7 @@ def boxes(half: Floats) -> FactorSet:
 def test_points_are_judged_against_the_set_and_the_noise() -> None:
     sets = boxes(np.ones((4, 2)))
     y = np.array([[0.9, -0.9], [1.05, 0.0], [1.2, 0.0], [0.0, -4.0]])
-    held, excess, _ = inside(sets, np.diag([0.1, 0.1]), y, ())
+    held, excess = inside(sets, np.diag([0.1, 0.1]), y, ())
     np.testing.assert_array_equal(held, [True, True, False, False])
     np.testing.assert_allclose(excess, [0, 0, 0.1, 2.9])
     np.testing.assert_array_equal(inside(sets, NONE, y, ())[0], [True, False, False, False])
@@ -31,7 +31,7 @@ def test_angles_are_compared_modulo_whole_turns() -> None:
     sets = FactorSet.zonotope(np.array([[0.0, 3.1]]), 0.2 * np.eye(2)[None])
     for angle in (3.2, 3.2 - 2 * np.pi, 3.2 + 8 * np.pi):
         assert inside(sets, NONE, np.array([[0.0, angle]]), (1,))[0].all()
-    held, excess, _ = inside(sets, NONE, np.array([[0.0, -2.5]]), (1,))
+    held, excess = inside(sets, NONE, np.array([[0.0, -2.5]]), (1,))
     assert not held.any()
     assert excess[0] == pytest.approx(2 * np.pi - 2.5 - 3.3)
 
@@ -39,7 +39,7 @@ def test_angles_are_compared_modulo_whole_turns() -> None:
 def test_constraints_count() -> None:
     half_plane = FactorSet(np.zeros((1, 2)), np.eye(2)[None], np.array([[[1.0, 1.0]]]), np.array([[1.5]]))
     assert inside(half_plane, NONE, np.array([[0.75, 0.75]]), ())[0].all()
-    held, excess, _ = inside(half_plane, NONE, np.array([[0.0, 0.0]]), ())
+    held, excess = inside(half_plane, NONE, np.array([[0.0, 0.0]]), ())
     assert not held.any()
     assert excess[0] == 0.0
 
@@ -146,3 +146,12 @@ def test_few_checks_say_little() -> None:
     assert leaves[[FEW, 1000]].tolist() == [3, 18]
     assert returns[[FEW, 1000]].tolist() == [0, 10]
     assert (returns <= leaves).all()
+
+
+def test_how_many_times_as_far_as_its_set_a_state_lies() -> None:
+    sets = FactorSet.zonotope(np.array([[1.0, 3.0]] * 4), np.tile(np.diag([0.4, 0.1]), (4, 1, 1)))
+    y = np.array([[1.0, 3.0], [2.0, 3.0], [1.25, 3.0 - 2 * np.pi + 0.6], [1.0, 3.1]])
+    found = times_as_far(sets, np.diag([0.1, 0.1]), y, (1,))
+    np.testing.assert_allclose(found, [0.0, 2.0, 3.0, 0.5], atol=1e-12)
+    flat = FactorSet.zonotope(np.zeros((1, 2)), np.zeros((1, 2, 0)))
+    assert times_as_far(flat, NONE, np.array([[0.1, 0.0]]), ())[0] == np.inf
