@@ -153,3 +153,25 @@ def test_what_goes_on_is_not_replaced_by_what_comes_now_and_then() -> None:
             assert w.append(batch_of([away])).leaped == 1
         assert newest(w) == (EPOCH, FIRST + k, START + k * STEP)
     assert run_of(w)[-1] >= 100
+
+
+@settings(max_examples=60, deadline=None)
+@given(_prefix, st.integers(0, 2**32 - 1))
+def test_what_one_vehicle_sends_changes_nothing_of_another(prefix: list[list[Header]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    alone, together = window(), window(vehicles=2)
+    k = 0
+    for headers in prefix:
+        count = int(rng.integers(1, 9))
+        mine = batch_of([good(k + i) for i in range(count)])
+        mine = replace(mine, x=rng.normal(scale=1e-3, size=mine.x.shape))
+        k += count + int(rng.integers(0, 2))
+        theirs = replace(batch_of(headers), vehicle=np.ones(len(headers), dtype=np.intp))
+        both = SampleBatch.join([mine, theirs])
+        alone.append(mine)
+        together.append(both.take(rng.permutation(len(both.t))))
+    for name in ("t", "x", "u", "run", "input_known", "gated"):
+        np.testing.assert_array_equal(getattr(alone.columns(), name)[0], getattr(together.columns(), name)[0])
+    assert alone.keys(0) == together.keys(0)
+    assert int(alone.count[0]) == int(together.count[0])
+    assert int(alone.revision[0]) == int(together.revision[0])
