@@ -110,7 +110,6 @@ CALIBRATED = parse_profile(
 )  # fmt: skip
 WORLD = World().profile
 FLEET: dict[str, VehicleProfile] = {"calm": SMALL, "cut": SMALL, "learned": CALIBRATED, "flat": WORLD}
-LABELS = {"calm": "guaranteed", "cut": "guaranteed", "learned": "calibrated", "flat": "guaranteed"}
 
 
 class Sound:
@@ -205,9 +204,12 @@ def shuffled(messages: list[Received], rng: np.random.Generator) -> list[int]:
 def calm() -> list[Output]:
     """What the well-behaved get among themselves."""
     found, _ = run(MESSAGES)
-    # Each has a tube in every round, and none is contradicted.
     for tubes in found:
-        assert {v: [f.get("l") for f in got] for v, got in tubes.items()} == {v: [LABELS[v]] for v in FLEET}
+        labels = {vehicle: [fields["l"] for fields in got if "l" in fields] for vehicle, got in tubes.items()}
+        # A rate may leave its band now and then; what is guaranteed stays so.
+        assert labels.pop("learned") in (["calibrated"], ["contradicted"])
+        assert labels == dict.fromkeys(("calm", "cut", "flat"), ["guaranteed"])
+    assert found[0]["learned"][0]["l"] == "calibrated"
     assert all(tubes["cut"][0]["vd"] for tubes in found)
     assert any(tubes["cut"][0]["k"] for tubes in found)
     return found
