@@ -208,7 +208,7 @@ def calm() -> list[Output]:
         labels = {vehicle: [fields["l"] for fields in got if "l" in fields] for vehicle, got in tubes.items()}
         # A rate may leave its band now and then; what is guaranteed stays so.
         assert labels.pop("learned") in (["calibrated"], ["contradicted"])
-        assert labels == dict.fromkeys(("calm", "cut", "flat"), ["guaranteed"])
+        assert labels == {vehicle: ["guaranteed"] for vehicle in ("calm", "cut", "flat")}
     assert found[0]["learned"][0]["l"] == "calibrated"
     assert all(tubes["cut"][0]["vd"] for tubes in found)
     assert any(tubes["cut"][0]["k"] for tubes in found)
