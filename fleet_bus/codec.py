@@ -37,16 +37,23 @@ REASONS: Final[Mapping[str, str]] = {
 }
 
 
-def pack(fields: Mapping[str, Any]) -> bytes:
-    """Pack a map; ``bytes`` become msgpack bin, text becomes str."""
-    packed: bytes = msgpack.packb(fields, use_bin_type=True)
+def pack(fields: Mapping[str, Any], *, limit: int | None = None) -> bytes:
+    """Pack a map; ``bytes`` become msgpack bin, text becomes str.
+
+    Raises ``MessageError`` (range, too_large) for an integer beyond 64 bits, and for more than ``limit`` bytes.
+    """
+    try:
+        packed: bytes = msgpack.packb(fields, use_bin_type=True)
+    except OverflowError:
+        raise MessageError("range", "an integer needs more than 64 bits") from None
+    if limit is not None:
+        _check_size(packed, limit)
     return packed
 
 
 def unpack(payload: bytes, *, limit: int) -> dict[str, Any]:
     """Unpack a map of at most ``limit`` bytes; raise ``MessageError`` (too_large, malformed, fields) otherwise."""
-    if len(payload) > limit:
-        raise MessageError("too_large", f"{len(payload)} bytes where at most {limit} are allowed")
+    _check_size(payload, limit)
     try:
         # The lengths are bounded before anything is allocated, so that a few bytes cannot claim gigabytes.
         fields = msgpack.unpackb(
@@ -66,6 +73,11 @@ def unpack(payload: bytes, *, limit: int) -> dict[str, Any]:
         raise MessageError("malformed", f"a msgpack {type(fields).__name__} where a map is expected")
     _check_depth(fields)
     return fields
+
+
+def _check_size(payload: bytes, limit: int) -> None:
+    if len(payload) > limit:
+        raise MessageError("too_large", f"{len(payload)} bytes where at most {limit} are allowed")
 
 
 def _check_depth(fields: dict[str, Any]) -> None:

@@ -34,7 +34,7 @@ class Received:
     source: str = ""
     """Id of the session that put it, as its publisher says, else of whoever stamped it; empty where nobody did."""
     arrived_ns: int = 0
-    """When it came here, by this machine's clock, in Unix nanoseconds."""
+    """When it came here, by this machine's clock, in Unix nanoseconds; 0 where that is not known."""
 
 
 class _Handle(Protocol):

@@ -109,7 +109,7 @@ def side_info(
         list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
     ] = None,
     id: Annotated[str, typer.Option(help="Id of this service.")] = "side-info-1",
-    clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.", min=0.0, max=1e9)] = 0.0,
+    clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.", min=0, max=3600)] = 0.0,
     router: Routers = _DEFAULT_ROUTERS,
 ) -> None:
     """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.

@@ -170,7 +170,9 @@ class Course:
         # What a strayed stamp has put in doubt waits until all is looked at once more.
         fresh = self.unseen(slots, t) & ~np.isin(slots, list(self._again))
         self._seen[slots[fresh]] = t[fresh]
-        index = (2 * (t - self.zero[slots]) + self._step) // (2 * self._step)
+        # The nearest place, the later one of two; twice a difference of times may not fit into 64 bits.
+        index, rest = np.divmod(t - self.zero[slots], self._step)
+        index += 2 * rest >= self._step
         rows = np.flatnonzero(fresh & (index >= -self._before[slots]))
         chosen = slots[rows]
         strays = (t[rows] != self.zero[chosen] + index[rows] * self._step) & ~self._jitters[chosen]

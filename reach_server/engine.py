@@ -276,11 +276,14 @@ class Engine:
             served = replace(served, prior=Prior(rows[kept], take(sets, kept)))
         forecast = self._method.forecast(served)
         instants = self._instants(served, forecast)
-        reach = self._reach(served, forecast, instants)
-        if not reach.bounded.all():
-            for slot in served.slots[~reach.bounded].tolist():
+        # Sets that outgrow all numbers are found out where they are complete, and are not published.
+        with np.errstate(over="ignore", invalid="ignore"):
+            reach = self._reach(served, forecast, instants)
+            publishable = reach.publishable()
+        if not publishable.all():
+            for slot in served.slots[~publishable].tolist():
                 waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
-            rows = np.flatnonzero(reach.bounded)
+            rows = np.flatnonzero(publishable)
             served, reach, instants = served.rows(rows), reach.rows(rows), take(instants, rows)
         events += self._contradictions(served, reach)
         times = self._times(served)
@@ -362,7 +365,7 @@ class Engine:
             box_tubes(*boxes, x, start, plan, self.profile.position, "zonotope"), plan, self._assignments.literals.count
         )
         names = [self._names[slot] for slot in limited.slots.tolist()]
-        bounded = np.flatnonzero(reach.bounded)
+        bounded = np.flatnonzero(reach.publishable())
         reach, limited = reach.rows(bounded), limited.rows(bounded)
         names = [names[row] for row in bounded.tolist()]
         notes = tuple((f"from limits alone, {waiting[name]}",) for name in names)

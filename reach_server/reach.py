@@ -19,6 +19,9 @@ from reach_server.rows import take
 from reach_server.straight import StraightTubes
 from reach_server.windows import Floats
 
+#: Sets with a number beyond this are not published: figures around them would not fit into floats of 32 bits.
+LARGEST = 1e37
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
@@ -51,6 +54,17 @@ class Reach:
             tubes.area, tubes.area_free, tubes.heights, tubes.hull,
             tubes.acted_literals(plan, literals)[:, 1:], tubes.bounded, tubes.ended >= 0, tubes.contradicted, {},
         )  # fmt: skip
+
+    def publishable(self) -> NDArray[np.bool_]:
+        """Of which vehicles (B,) every set is finite, and small enough for a message."""
+        # A constrained set may be small where the zonotope that is published around it is not.
+        sizes = [np.abs(s.generators).sum(axis=2).max(axis=1, initial=0.0) for s in self.steps if s.matrix.shape[1]]
+        sizes += [np.abs(s.center).max(axis=1) for s in self.steps]
+        sizes += [np.abs(a).reshape(len(a), -1).max(axis=1, initial=0.0) for a in (self.hull, self.heights)]
+        areas = np.maximum(self.area, self.area_free).max(axis=1, initial=0.0)
+        # What is no number is not small.
+        fits = np.all([size <= LARGEST for size in sizes], axis=0) & (areas <= LARGEST**2)
+        return np.asarray(self.bounded & fits)
 
     def rows(self, rows: NDArray[np.intp]) -> "Reach":
         """Those of some vehicles (K,), in that order."""

@@ -11,6 +11,9 @@ from fleet_bus.messages import Cut, EventKind, Label
 from reach_server.factor_sets import FactorSet, join_sets
 from reach_server.windows import Floats, Ints
 
+#: Characters of the message of an event, and of each text of its details; the rest is left out.
+LONGEST_MESSAGE, LONGEST_DETAIL = 2000, 1000
+
 
 @dataclass(frozen=True, slots=True)
 class EngineEvent:
@@ -22,6 +25,14 @@ class EngineEvent:
     t: int
     message: str
     details: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # A scenario may name more predicates than a message has room for.
+        object.__setattr__(self, "message", self.message[:LONGEST_MESSAGE])
+        short = {
+            name: value[:LONGEST_DETAIL] if isinstance(value, str) else value for name, value in self.details.items()
+        }
+        object.__setattr__(self, "details", short)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

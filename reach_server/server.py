@@ -92,6 +92,8 @@ class ReachServer:
         self._presence = Presence()
         self._load = Load()
         self._limit = EventLimit()
+        self._others = OtherServers("", instance)
+        self._queries = ThreadPoolExecutor(QUERIES, thread_name_prefix="cache-query")
         #: Why vehicles have no tube, by id.
         self._waiting: dict[str, str] = {}
 
@@ -108,7 +110,6 @@ class ReachServer:
                 declare_cached_publisher(self._output, own_events, Event.encoding(), cache=EVENT_CACHE)
             )
             self._others = OtherServers(str(self._output.zid()), self.instance)
-            self._queries = ThreadPoolExecutor(QUERIES, thread_name_prefix="cache-query")
             opening.callback(self._queries.shutdown, wait=False, cancel_futures=True)
             for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS, keys.ALL_STATUS):
                 declare(
@@ -357,6 +358,7 @@ class ReachServer:
     def status(self) -> ServiceStatus:
         """Counters and gauges of this moment."""
         filled = [count for engine in self.fleet.engines for count in engine.window_filled().tolist()]
+        clocks = sorted(self.fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:100]
         return ServiceStatus(
             kind="reach", instance=self.instance, t=time.time_ns(), started=self._started,
             counters={
@@ -373,7 +375,8 @@ class ReachServer:
             },
             refused=self.rejections.snapshot(),
             waiting={vehicle: why[:200] for vehicle, why in islice(sorted(self._waiting.items()), 100)},
-            clocks=dict(sorted(self.fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:100]),
+            clock_offsets={vehicle: offset for vehicle, (offset, _) in clocks},
+            clock_spreads={vehicle: spread for vehicle, (_, spread) in clocks},
             problems=[*self._others.problems, *([self._load.message] if self._load.late else [])][:32],
         )  # fmt: skip
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from fleet_bus.keys import ID_PATTERN
+from fleet_bus.messages import ranges
 from fleet_bus.units import seconds
 from side_info.yaml_text import Path, YamlText
 
@@ -25,8 +26,8 @@ def instant_ns(text: str) -> int:
     date, time, fraction, zone = match.groups()
     moment = datetime.fromisoformat(f"{date}T{time}{'+00:00' if zone in 'Zz' else zone}")
     nanoseconds = (moment - _EPOCH) // timedelta(seconds=1) * 10**9 + int((fraction or "").ljust(9, "0"))
-    if not 0 < nanoseconds < 2**63:
-        raise ValueError(f"{text!r:.40} lies outside of what can be told: expected 1970 to 2262")
+    if nanoseconds not in ranges.TIME:
+        raise ValueError(f"{text!r:.40} lies outside of what can be told: expected 1970 to 2199")
     return nanoseconds
 
 
@@ -95,7 +96,7 @@ class ScenarioFields(_Part):
     """A scenario document, field by field."""
 
     scenario: Annotated[str, Field(pattern=f"^{ID_PATTERN.pattern}$", description="id of the scenario")]
-    version: Annotated[int, Field(ge=1)]
+    version: Annotated[int, ranges.VERSION]
     state: Annotated[
         dict[Name, Annotated[str, Field(max_length=16)]],
         Field(min_length=1, max_length=32, description="unit of each state that formulas name"),
@@ -147,7 +148,7 @@ _MAPS: Final[dict[Path, str]] = {
 def _expected(path: Path, kind: str) -> str:
     """What to write at ``path`` where something of another kind stands; empty where pydantic says it well."""
     if path == ("version",):
-        return "write a whole number from 1, without quotes"
+        return f"write a whole number from {ranges.VERSION}, without quotes"
     if kind == "string_pattern_mismatch":
         if path == ("scenario",):
             return "an id has letters, digits, _ . - and no spaces, 64 characters at most"

@@ -1,6 +1,5 @@
 """The side-info service: publishes scenarios, and which vehicle takes part in which from when on."""
 
-import math
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ import zenoh
 
 from fleet_bus import keys
 from fleet_bus.errors import KeyIdError, MessageError, ScenarioError
-from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states
+from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states, ranges
 from fleet_bus.pubsub import Received, declare_alive, declare_recovering_subscriber, query_cache
 from fleet_bus.rejections import Rejections
 from fleet_bus.writers import Source
@@ -52,7 +51,7 @@ class SideInfoService:
     ``clock_offset`` (s) bounds how far the clocks of vehicles and scenarios differ; it goes into assignments.
 
     Raises ``ScenarioError`` for an assignment or a file of a scenario that is not loaded, for two of one name and for a
-    clock offset that is negative or not finite, ``KeyIdError`` for an id that cannot be in a key.
+    clock offset out of its range, ``KeyIdError`` for an id that cannot be in a key.
     """
 
     def __init__(
@@ -79,8 +78,8 @@ class SideInfoService:
         for name, path in (files or {}).items():
             if name not in self._scenarios:
                 raise ScenarioError(f"{path}: scenario {name!r:.80} is not loaded: loaded are {loaded}")
-        if not (math.isfinite(clock_offset) and clock_offset >= 0):
-            raise ScenarioError(f"the clock offset {clock_offset:g} s bounds nothing: expected a finite one, 0 or more")
+        if clock_offset not in ranges.CLOCK_OFFSET:
+            raise ScenarioError(f"the clock offset {clock_offset:g} s bounds nothing: expected {ranges.CLOCK_OFFSET}")
         keys.service(KIND, instance)
         self._session = session
         self._watched = {name: Watched.begin(path, self._scenarios[name]) for name, path in (files or {}).items()}

@@ -37,6 +37,8 @@ REASONS: Final[Mapping[str, str]] = {
     "stamp": "its time is not after that of the sample before",
     "shape": "its state or input has another length than the profile says",
     "not_finite": "it, or what the filter made of it, holds NaN or an infinity",
+    "range": "a number of it lies outside of what a message may hold, as the log says",
+    "too_large": "its plan is longer than a message may be",
     "filter": "the filter failed",
     "source": "the source failed; it is not asked again",
     "put": "the session did not take it",
@@ -137,14 +139,16 @@ class Agent:
         self._new_trajectory |= StateFlag.NEW_TRAJECTORY in reading.flags
         try:
             sample, truth = self._sample(reading, origin + reading.t)
+            # What a server would refuse is not sent.
+            state, true_state = sample.encode(), None if truth is None else truth.encode()
         except MessageError as error:
             self._skips.count(error, keys.state(self.vehicle))
             return
         try:
-            self._states.put(sample.encode())
+            self._states.put(state)
             self._seq, self._last_t, self._new_trajectory = sample.seq + 1, sample.t, False
-            if truth is not None and self._truths is not None and StateFlag.HISTORY not in reading.flags:
-                self._truths.put(truth.encode())
+            if true_state is not None and self._truths is not None and StateFlag.HISTORY not in reading.flags:
+                self._truths.put(true_state)
         # A network in trouble must not stop the loop either.
         except Exception as error:
             self._skip("put", f"{type(error).__name__}: {error}")

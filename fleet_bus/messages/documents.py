@@ -1,16 +1,20 @@
 """Messages that are documents: rare, readable, validated by pydantic; their JSON Schemas are generated from here."""
 
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fleet_bus import codec, keys
 from fleet_bus.errors import MessageError
+from fleet_bus.messages import ranges
 
 Id = Annotated[str, Field(pattern=f"^{keys.ID_PATTERN.pattern}$")]
-Nanoseconds = Annotated[int, Field(gt=0, lt=2**63)]
-Clock = Annotated[tuple[float, Annotated[float, Field(ge=0.0)]], Field(strict=False)]
+Nanoseconds = Annotated[int, ranges.TIME]
+Counter = Annotated[int, ranges.COUNTER]
+
+#: Problems of a field that are counted under a reason of their own, where there are several the first.
+_REASONS: Final = {"finite_number": "not_finite", ranges.OUTSIDE: "range"}
 
 
 def explain(error: ValidationError) -> str:
@@ -41,7 +45,13 @@ class Document(BaseModel):
         return codec.encoding(cls.SCHEMA, cls.VERSION)
 
     def encode(self) -> bytes:
-        """Payload of this message."""
+        """Payload of this message; raise ``MessageError`` where ``decode`` would refuse it."""
+        payload = self._packed()
+        # A copy with changes is not checked when it is made, and what is sound may be too long to be sent.
+        self.decode(payload)
+        return payload
+
+    def _packed(self) -> bytes:
         return codec.pack(self.model_dump(mode="json", by_alias=True, exclude_none=True))
 
     @classmethod
@@ -52,7 +62,9 @@ class Document(BaseModel):
         try:
             return cls.model_validate(fields)
         except ValidationError as error:
-            raise MessageError("fields", explain(error)) from None
+            found = {problem["type"] for problem in error.errors()}
+            reason = next((reason for kind, reason in _REASONS.items() if kind in found), "fields")
+            raise MessageError(reason, explain(error)) from None
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
@@ -67,7 +79,7 @@ class ScenarioDocument(Document):
     MAX_BYTES: ClassVar[int] = 262144
 
     scenario: Id
-    version: Annotated[int, Field(ge=1)]
+    version: Annotated[int, ranges.VERSION]
     text: Annotated[str, Field(max_length=200_000)]
 
 
@@ -81,7 +93,7 @@ class Assignment(Document):
     vehicle: Id
     time_zero: Nanoseconds
     active: bool = True
-    clock_offset: Annotated[float, Field(ge=0.0, description="bound on the clocks' difference, s")] = 0.0
+    clock_offset: Annotated[float, ranges.CLOCK_OFFSET, Field(description="bound on the clocks' difference, s")] = 0.0
 
 
 class EventKind(StrEnum):
@@ -119,7 +131,9 @@ class Event(Document):
     t: Nanoseconds
     source: Id
     message: Annotated[str, Field(max_length=2000)]
-    details: dict[str, str | int | float | bool] = Field(default_factory=dict, max_length=64)
+    details: dict[str, str | Annotated[int, ranges.DETAIL] | Annotated[float, ranges.DETAIL] | bool] = Field(
+        default_factory=dict, max_length=64
+    )
 
 
 class ServiceStatus(Document):
@@ -131,17 +145,20 @@ class ServiceStatus(Document):
     instance: Id
     t: Nanoseconds
     started: Nanoseconds
-    counters: dict[str, int] = Field(default_factory=dict, max_length=256)
-    gauges: dict[str, float] = Field(default_factory=dict, max_length=256)
-    refused: dict[str, int] = Field(default_factory=dict, max_length=256)
+    counters: dict[str, Counter] = Field(default_factory=dict, max_length=256)
+    gauges: dict[str, Annotated[float, ranges.GAUGE]] = Field(default_factory=dict, max_length=256)
+    refused: dict[str, Counter] = Field(default_factory=dict, max_length=256)
     waiting: dict[Id, Annotated[str, Field(max_length=200)]] = Field(
         default_factory=dict, max_length=100, description="vehicles without a tube, and why; the first 100"
     )
-    clocks: dict[Id, Clock] = Field(
+    clock_offsets: dict[Id, Annotated[float, ranges.GAUGE]] = Field(
         default_factory=dict,
         max_length=100,
-        description="of the 100 vehicles whose clocks are furthest off: stamp minus time of arrival, s, the greatest "
-        "of the last 10 to 20 s and by how much the others were less",
+        description="stamp minus time of arrival, s, the greatest of the last 10 to 20 s, of the 100 vehicles whose "
+        "clocks are furthest off",
+    )
+    clock_spreads: dict[Id, Annotated[float, ranges.SIZE]] = Field(
+        default_factory=dict, max_length=100, description="by how much the other differences were less, s"
     )
     problems: list[Annotated[str, Field(max_length=300)]] = Field(
         default_factory=list, max_length=32, description="what is wrong with the service as a whole, now"

@@ -7,17 +7,20 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from fleet_bus.errors import ProfileError
+from fleet_bus.messages import ranges
 from fleet_bus.messages.documents import Document, Id, explain
 from fleet_bus.messages.methods import Method
 from fleet_bus.units import seconds
 
 Origin = Literal["given", "calibrated"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,31}$")]
-Matrix = list[list[float]]
+Value = Annotated[float, ranges.VALUE]
+Matrix = list[list[Value]]
 # Documents have lists only.
-Limits = Annotated[tuple[float, float], Field(strict=False)]
+Limits = Annotated[tuple[Value, Value], Field(strict=False)]
 Position = Annotated[tuple[Name, Name], Field(strict=False)]
 
 
@@ -29,10 +32,15 @@ def _as_unit(value: object) -> object:
     return {"unit": value} if isinstance(value, str) else value
 
 
+def _seconds(value: object) -> float:
+    # Of a number it is told what is wrong with it as of any other.
+    return value if isinstance(value, float) else seconds(value)
+
+
 class _Quantity(_Part):
     unit: Annotated[str, Field(max_length=16)]
     limits: Limits | None = None
-    rate: Annotated[float, Field(gt=0)] | None = None
+    rate: Annotated[float, ranges.RATE] | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -55,7 +63,7 @@ class InputSpec(_Quantity):
 class NoiseSet(_Part):
     """A bounded noise set around zero: ``box`` half-widths (n), or a generator matrix (n rows)."""
 
-    box: list[Annotated[float, Field(ge=0)]] | None = None
+    box: list[Annotated[float, ranges.SIZE]] | None = None
     generators: Matrix | None = None
     origin: Origin = "calibrated"
 
@@ -123,21 +131,21 @@ class VehicleProfile(Document):
     vehicle_class: Annotated[Id, Field(alias="class")]
     state: dict[Name, Annotated[StateSpec, BeforeValidator(_as_unit)]] = Field(min_length=1, max_length=32)
     inputs: dict[Name, Annotated[InputSpec, BeforeValidator(_as_unit)]] = Field(default_factory=dict, max_length=16)
-    sample_time: Annotated[float, BeforeValidator(seconds), Field(gt=0, le=60, description="s")]
-    tolerance: Annotated[float, Field(gt=0, lt=1, description="of a sample time")] = 0.3
+    sample_time: Annotated[float, BeforeValidator(_seconds), ranges.SAMPLE_TIME, Field(description="s")]
+    tolerance: Annotated[float, ranges.TOLERANCE, Field(description="of a sample time")] = 0.3
     frame: Literal["world", "body"] = "world"
-    input_lags: Annotated[int, Field(ge=0, le=32)] = 0
-    window: Annotated[int, Field(ge=8, le=100_000)] = 1000
-    reservoir: Annotated[int, Field(ge=0, le=100_000, description="older samples kept beside the window")] = 0
-    nearest: Annotated[int, Field(ge=1, le=100_000, description="data that bound the residual on a vehicle's way")] = 64
+    input_lags: Annotated[int, ranges.LAGS] = 0
+    window: Annotated[int, ranges.WINDOW] = 1000
+    reservoir: Annotated[int, ranges.RESERVOIR, Field(description="older samples kept beside the window")] = 0
+    nearest: Annotated[int, ranges.NEAREST, Field(description="data that bound the residual on a vehicle's way")] = 64
     noise: Noise = Noise()
     lipschitz: Lipschitz | None = None
     future_inputs: Literal["limits", "rate", "plan", "learned"] = "rate"
     filtered: Annotated[bool, Field(description="intersect a received state with what was predicted for it")] = False
-    confidence: Annotated[float, Field(gt=0.5, lt=1)] = 0.99
+    confidence: Annotated[float, ranges.CONFIDENCE] = 0.99
     margin: Annotated[Literal["step", "tube"], Field(description="what the confidence speaks about")] = "step"
     roles: Roles = Roles()
-    horizon: Annotated[int, Field(ge=1, le=200)] = 10
+    horizon: Annotated[int, ranges.HORIZON] = 10
     method: Literal["default", Method] = "default"
     cuts: Literal["zonotope", "constrained", "frobenius"] = "zonotope"
     maps_to: dict[Name, Name] = Field(default_factory=dict)
@@ -179,6 +187,50 @@ class VehicleProfile(Document):
                 if self.future_inputs == "rate" and spec.rate is None:
                     raise ValueError(f"future_inputs: rate needs inputs.{name}.rate (or choose future_inputs: limits)")
         return self
+
+    @model_validator(mode="after")
+    def _affordable(self) -> Self:
+        if self.memory not in ranges.MEMORY:
+            raise PydanticCustomError(
+                ranges.OUTSIDE,
+                "a vehicle of this class takes up to {size} MiB of a server's memory, {most} MiB are allowed: lower "
+                "window, reservoir, nearest, input_lags or horizon",
+                {"size": self.memory // 2**20 + 1, "most": int(ranges.MEMORY.high) // 2**20},
+            )
+        if self.tube_bytes not in ranges.TUBE_BYTES:
+            raise PydanticCustomError(
+                ranges.OUTSIDE,
+                "a tube of {horizon} steps with {n} states takes {size} bytes, {range} are allowed: lower the horizon",
+                {
+                    "horizon": self.horizon,
+                    "n": len(self.state),
+                    "size": self.tube_bytes,
+                    "range": str(ranges.TUBE_BYTES),
+                },
+            )
+        return self
+
+    @property
+    def memory(self) -> int:
+        """Bytes that a server keeps of one vehicle: an outer bound, whatever the method."""
+        n, m, p, lags, steps = len(self.state), len(self.inputs), len(self.regressors), self.input_lags, self.horizon
+        held = self.window + lags + steps + 2
+        window = held * (8 * (n + m) + 64)
+        # What bounds the residual function: data, the reservoir behind it, the nearest ones, sums of products.
+        rows = 2 * (held + 2 * self.reservoir + self.nearest)
+        bounded = 8 * (rows * (p + n + 3) + 2 * (p + n + 2) ** 2)
+        # The calibrated model: each step's increments on all features, its errors and their scores.
+        features = 1 + 8 * n + 4 + (lags + 1) * (m + 1) + (steps - 1) * (m + 1) * (self.future_inputs == "plan")
+        scores = held * (steps + 1) * (2 * n + 8)
+        calibrated = 8 * (2 * features**2 + 2 * features * (steps + 1) * n) + scores + 64 * steps * (4 * n + m + 8)
+        return window + max(bounded, calibrated)
+
+    @property
+    def tube_bytes(self) -> int:
+        """Bytes of the longest tube of this class: an outer bound, names of what cut it up to 4 KiB included."""
+        n = len(self.state)
+        # Per step: time, center, n + 2 generators, box, an outline of 12 vertices, two areas; all in single or double.
+        return self.horizon * (8 + 8 * n + 4 * n * (n + 2) + 8 * n + 96 + 16) + 34 * n + 8192
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -229,7 +281,7 @@ class VehicleProfile(Document):
 
     def shape_key(self) -> tuple[Any, ...]:
         """What two profiles must share so that their vehicles share arrays."""
-        return (self.encode(),)
+        return (self._packed(),)
 
 
 def parse_profile(fields: object, source: str = "profile") -> VehicleProfile:

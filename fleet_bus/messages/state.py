@@ -2,7 +2,7 @@
 
 import struct
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Final, Self
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fleet_bus import codec
 from fleet_bus.errors import MessageError
+from fleet_bus.messages import ranges
 
 SCHEMA: Final = "fleet.state"
 VERSION: Final = 1
@@ -36,7 +37,15 @@ class StateFlag(IntFlag):
     HISTORY = 8  #: recorded before this start of the agent: fills windows, gets no tube
 
 
-_ALL_FLAGS: Final = 0b1111
+#: The ranges of the header's numbers, by name; ``plan`` are the steps of a plan there.
+HEADER: Final[Mapping[str, ranges.Range]] = {
+    "epoch": ranges.EPOCH, "seq": ranges.SEQ, "t": ranges.TIME, "flags": ranges.FLAGS, "n": ranges.STATES,
+    "m": ranges.INPUTS, "plan": ranges.PLAN, "reserved": ranges.NONE,
+}  # fmt: skip
+#: The ranges of the numbers after the header, in their order.
+NUMBERS: Final[Mapping[str, ranges.Range]] = {
+    "x": ranges.VALUE, "u": ranges.VALUE, "bound": ranges.SIZE, "plan": ranges.VALUE, "plan_tolerance": ranges.SIZE,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,19 +75,28 @@ class StateSample:
     plan_tolerance: NDArray[np.float64] | None = None
 
     def encode(self) -> bytes:
-        """Payload of this sample (encoding ``fleet.state.v1``)."""
+        """Payload of this sample (encoding ``fleet.state.v1``); raise ``MessageError`` where ``decode`` would refuse
+        it."""
         flags = int(self.flags) & ~int(StateFlag.BOUND)
-        parts = [self.x, self.u]
+        n, m = len(self.x), len(self.u)
+        parts: list[tuple[str, NDArray[np.float64], tuple[int, ...]]] = [("x", self.x, (n,)), ("u", self.u, (m,))]
         if self.bound is not None:
             flags |= int(StateFlag.BOUND)
-            parts.append(self.bound)
+            parts.append(("bound", self.bound, (n,)))
         steps = 0
         if self.plan is not None and len(self.plan):
             steps = len(self.plan)
-            tolerance = np.zeros(len(self.u)) if self.plan_tolerance is None else self.plan_tolerance
-            parts += [self.plan.ravel(), tolerance]
-        header = _HEADER.pack(self.epoch, self.seq, self.t, flags, len(self.x), len(self.u), steps, 0)
-        return codec.pack({"d": header + codec.to_bin(np.concatenate(parts))})
+            tolerance = np.zeros(m) if self.plan_tolerance is None else self.plan_tolerance
+            parts += [("plan", self.plan, (steps, m)), ("plan_tolerance", tolerance, (m,))]
+        header = (int(self.epoch), int(self.seq), int(self.t), flags, n, m, steps, 0)
+        for (name, span), number in zip(HEADER.items(), header, strict=True):
+            span.check(name, number)
+        for name, array, shape in parts:
+            if array.shape != shape:
+                raise MessageError("shape", f"{name} has shape {array.shape}, expected {shape}")
+            NUMBERS[name].check_array(name, array)
+        numbers = codec.to_bin(np.concatenate([array.ravel() for _, array, _ in parts]))
+        return codec.pack({"d": _HEADER.pack(*header) + numbers}, limit=MAX_BYTES)
 
     @classmethod
     def decode(cls, payload: bytes, encoding: str = ENCODING) -> Self:
@@ -89,19 +107,18 @@ class StateSample:
         raw: bytes = fields["d"]
         if len(raw) < _HEADER.size:
             raise MessageError("shape", f"bin of {len(raw)} bytes is shorter than its header of {_HEADER.size}")
-        epoch, seq, t, flags, n, m, steps, reserved = _HEADER.unpack_from(raw)
-        if reserved or flags & ~_ALL_FLAGS or t <= 0:
-            raise MessageError("range", f"reserved {reserved}, flags {flags:#x}, t {t} ns")
+        header = epoch, seq, t, flags, n, m, steps, _ = _HEADER.unpack_from(raw)
         has_bound = bool(flags & StateFlag.BOUND)
         counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
         if len(raw) != _HEADER.size + 8 * sum(counts):
             raise MessageError("shape", f"bin of {len(raw)} bytes, header says n={n} m={m} plan={steps}")
+        for (name, span), number in zip(HEADER.items(), header, strict=True):
+            span.check(name, number)
         numbers = np.frombuffer(raw, dtype="<f8", offset=_HEADER.size)
-        if not np.isfinite(numbers).all():
-            raise MessageError("not_finite", "state, input, bound or plan holds NaN or an infinity")
-        x, u, bound, plan, tolerance = np.split(numbers, np.cumsum(counts)[:-1])
-        if (bound < 0).any() or (tolerance < 0).any():
-            raise MessageError("range", "a bound or tolerance is negative")
+        parts = np.split(numbers, np.cumsum(counts)[:-1])
+        for (name, span), part in zip(NUMBERS.items(), parts, strict=True):
+            span.check_array(name, part)
+        x, u, bound, plan, tolerance = parts
         return cls(
             epoch, seq, t, x, u, StateFlag(flags),
             bound if has_bound else None,
@@ -173,29 +190,27 @@ def _decode_equal(payloads: list[bytes], encoding: str, index: NDArray[np.intp])
     if encoding != ENCODING or not head or not head + _HEADER.size <= len(first) <= MAX_BYTES:
         return None
     body = len(first) - head - _HEADER.size
-    _, _, _, flags, n, m, steps, reserved = _HEADER.unpack_from(first, head)
+    _, _, _, flags, n, m, steps, _ = _HEADER.unpack_from(first, head)
     has_bound = bool(flags & StateFlag.BOUND)
     counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
-    if reserved or flags & ~_ALL_FLAGS or body != 8 * sum(counts):
+    if body != 8 * sum(counts):
         return None
     layout = np.dtype([("head", f"V{head}"), ("header", _HEADER_DTYPE), ("numbers", "<f8", (sum(counts),))])
     rows = np.frombuffer(b"".join(payloads), dtype=layout)
-    header, numbers = rows["header"], rows["numbers"]
+    fields, numbers = rows["header"], rows["numbers"]
     heads_equal = np.array_equal(rows["head"], np.broadcast_to(rows["head"][0], rows["head"].shape))
     _, _, bound, plan, tolerance = parts = np.split(numbers, np.cumsum(counts)[:-1], axis=1)
     declared = int.from_bytes(first[4:head], "big")
     sound = (
         heads_equal
         and declared == body + _HEADER.size
-        and np.isfinite(numbers).all()
-        and (header["t"] > 0).all()
-        and (bound >= 0).all()
-        and (tolerance >= 0).all()
+        and all(span.holds(fields[name]) for name, span in HEADER.items())
+        and all(span.holds(part) for span, part in zip(NUMBERS.values(), parts, strict=True))
     )
     if not sound:
         return None
     return StateBatch(
-        index, header["epoch"], header["seq"], header["t"], header["flags"], parts[0], parts[1],
+        index, fields["epoch"], fields["seq"], fields["t"], fields["flags"], parts[0], parts[1],
         bound if has_bound else None,
         plan.reshape(len(payloads), steps, m) if steps else None,
         tolerance if steps else None,

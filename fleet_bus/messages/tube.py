@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final, Self
 
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from fleet_bus import codec, keys
 from fleet_bus.errors import MessageError
+from fleet_bus.messages import ranges
 from fleet_bus.messages.methods import TUBE_METHODS
 
 SCHEMA: Final = "fleet.tube"
 VERSION: Final = 1
 ENCODING: Final = codec.encoding(SCHEMA, VERSION)
-MAX_BYTES: Final = 65536
-MAX_HORIZON: Final = 1000
+MAX_BYTES: Final = int(ranges.TUBE_BYTES.high)
+MAX_HORIZON: Final = int(ranges.STEP.high)
 
 
 class Label(StrEnum):
@@ -91,7 +92,9 @@ class ReachTube:
     compute_seconds: float = 0.0
 
     def encode(self) -> bytes:
-        """Payload of this tube (encoding ``fleet.tube.v1``)."""
+        """Payload of this tube (encoding ``fleet.tube.v1``); raise ``MessageError`` for a number outside of its range
+        and for too many bytes."""
+        self._check()
         return codec.pack(
             {
                 "v": self.vehicle,
@@ -123,7 +126,8 @@ class ReachTube:
                 "sv": self.server,
                 "se": self.server_epoch,
                 "ct": float(self.compute_seconds),
-            }
+            },
+            limit=MAX_BYTES,
         )
 
     @classmethod
@@ -153,18 +157,7 @@ class ReachTube:
             raise MessageError("fields", "notes 'n' and verdicts 'vd' must be texts")
         if keys.ID_PATTERN.fullmatch(fields["v"]) is None:
             raise MessageError("fields", f"vehicle {fields['v']!r:.80} cannot be an id")
-        counts = (fields["e"], fields["s"], fields["se"], fields["ct"])
-        if min(counts) < 0 or not 0 < fields["t"] < 2**63:
-            raise MessageError("range", "a time, counter or duration is negative")
-        if (
-            not 0 <= audit.recent <= audit.checked
-            or min(audit.checked - audit.inside, audit.recent - audit.recent_inside) < 0
-            or min(astuple(audit)) < 0
-        ):
-            raise MessageError("range", "a number of the audit is negative, or more were inside than checked")
-        if not (math.isfinite(audit.last_miss) and math.isfinite(fields["ct"])):
-            raise MessageError("not_finite", "the last miss or the compute time is NaN or an infinity")
-        return cls(
+        found = cls(
             fields["v"], fields["e"], fields["s"], fields["t"],
             codec.from_bin(fields, "T", (steps,), "<i8"),
             tuple(names), (position[0], position[1]), fields["m"], Label(fields["l"]),
@@ -177,6 +170,32 @@ class ReachTube:
             cuts, tuple(fields["n"]), fields["vd"], audit,
             fields["sv"], fields["se"], float(fields["ct"]),
         )  # fmt: skip
+        found._check()
+        return found
+
+    def _check(self) -> None:
+        """Raise ``MessageError`` unless every number lies in its range."""
+        audit = self.audit
+        ranges.EPOCH.check("e", self.epoch)
+        ranges.SEQ.check("s", self.seq)
+        ranges.TIME.check("t", self.t)
+        ranges.EPOCH.check("se", self.server_epoch)
+        for name, number, span in (
+            ("ct", self.compute_seconds, ranges.DURATION), ("au[2]", audit.last_miss, ranges.MISS),
+        ):  # fmt: skip
+            if not math.isfinite(number):
+                raise MessageError("not_finite", f"{name} is {number}")
+            span.check(name, number)
+        ranges.AHEAD.check_array("T", self.times)
+        ranges.SET_VALUE.check_arrays({"c": self.center, "g": self.generators, "h": self.hull, "o": self.outline})
+        ranges.AREA.check_arrays({"a": self.area, "af": self.area_free})
+        for cut in self.cuts:
+            ranges.STEP.check("k", cut.first)
+            ranges.STEP.check("k", cut.last)
+        for count in (audit.checked, audit.inside, audit.recent, audit.recent_inside, audit.band):
+            ranges.COUNTER.check("au", count)
+        if not (audit.inside <= audit.checked and audit.recent_inside <= audit.recent <= audit.checked):
+            raise MessageError("range", "more of the audit were inside than checked, or recent than all")
 
 
 def _row(row: Any, key: str, kinds: tuple[type, ...]) -> list[Any]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from fleet_bus.messages import Cut, EventKind, VehicleProfile
+from fleet_bus.messages import Cut, EventKind, VehicleProfile, ranges
 from reach_server.assignments import Assignments, Instants
 from reach_server.results import EngineEvent
 from reach_server.windows import Block, Floats, Ints
@@ -417,3 +417,16 @@ def test_a_trajectory_that_begins_with_earlier_stamps_is_the_current_one() -> No
     watched.made.began(np.array([0]), np.array([START + 60 * S]), [(1, 7)])
     watched.made.assign(0, box(window="0:3 s"), START + 10 * S, 0.0)
     assert watched.see(0, 10.1, OUTSIDE)
+
+
+@pytest.mark.parametrize("zero", [1, START, int(ranges.TIME.high)])
+@pytest.mark.parametrize("t", [1, START, int(ranges.TIME.high)])
+def test_any_time_zero_meets_any_stamp(zero: int, t: int) -> None:
+    watched = Watched()
+    watched.made.assign(0, box(window="0:3 s"), zero, 0.0)
+    course = watched.made.course("box")
+    # Nothing holds outside of the region: what is asked of a sample at time zero only is false there alone.
+    watched.samples[0].append((t, OUTSIDE))
+    told = watched.look(0)
+    assert [event.kind for event in told] == [EventKind.CONTRADICTION] * (t == zero)
+    assert course.started(np.array([0])).tolist() == [t >= zero]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_bus.messages import Audit, Label, ReachTube
+from fleet_bus.messages import Audit, Cut, Event, EventKind, Label, ReachTube, parse_profile
 from reach_server.factor_sets import FactorSet
 from reach_server.figures import figures
 from reach_server.publish import messages, outward_box, outward_generators
@@ -74,3 +74,46 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
         assert (np.abs(d @ came.generators[0]).sum(axis=1) >= (points @ d.T).max(axis=0)).all()
     assert sent[1].verdicts == {"s.stays": "satisfied"}
     assert sent[1].audit == Audit(3, 2, 0.5, 3, 2, 1)
+
+
+@pytest.mark.parametrize(("cuts", "verdicts"), [(3, 2), (500, 2), (3, 500), (2000, 2000)])
+def test_a_message_lists_as_many_names_as_it_has_room_for(cuts: int, verdicts: int) -> None:
+    from reach_server.publish import CUTS_LEFT_OUT, VERDICTS_LEFT_OUT
+    from reach_server.results import Tubes
+
+    horizon, n = 200, 4
+    profile = parse_profile(
+        {"class": "c", "state": {f"x{i}": "m" for i in range(n)}, "sample_time": 1, "horizon": horizon}
+    )
+    sets = FactorSet.zonotope(np.zeros((1, n)), np.eye(n)[None])
+    one, each = np.array([1]), np.ones((1, horizon))
+    named = tuple(Cut("s" * 64, f"{i}.{'p' * 60}", 1, horizon) for i in range(cuts))
+    told = {f"{'s' * 64}.{i}": "undecided (time)" for i in range(verdicts)}
+    tubes = Tubes(
+        ("a",), one.astype(np.uint64), one.astype(np.uint64), one, np.ones((1, horizon), dtype=np.int64),
+        (sets,) * horizon, (sets,) * horizon, each, each, np.zeros((1, horizon, 12, 2)), np.zeros((1, horizon, 2, n)),
+        (Label.GUARANTEED,), ("lti",), (named,), (("rank deficient",),), (told,), (), {},
+    )  # fmt: skip
+    (message,) = messages(
+        tubes, profile.state_names, (0, 1), [Audit()], server="s", server_epoch=1, compute_seconds=0.0
+    )
+    came = ReachTube.decode(message.encode())
+    assert came.cuts == named[: len(came.cuts)]
+    assert came.verdicts.items() <= told.items()
+    assert len(came.cuts) >= min(cuts, 18)
+    assert len(came.verdicts) >= min(verdicts, 18)
+    left_out = [CUTS_LEFT_OUT] * (len(came.cuts) < cuts) + [VERDICTS_LEFT_OUT] * (len(came.verdicts) < verdicts)
+    assert came.notes == ("rank deficient", *left_out)
+    assert bool(left_out) == (cuts + verdicts > 5)
+
+
+def test_an_event_says_as_much_as_a_message_has_room_for() -> None:
+    from reach_server.results import EngineEvent
+
+    found = EngineEvent(
+        EventKind.CONTRADICTION, "a", 1, "\u0100" * 5000, {"predicate": "\u0100" * 50_000, "elapsed": 1.0}
+    )
+    event = Event(
+        kind=found.kind, vehicle=found.vehicle, t=found.t, source="s", message=found.message, details=found.details
+    )
+    assert Event.decode(event.encode()) == event

@@ -245,6 +245,19 @@ def test_instants_are_exact(text: str, nanoseconds: int) -> None:
     assert Scenario.parse(DOCUMENT.replace("on_start", f'"{text}"')).time_zero == nanoseconds
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("on_start", '"2200-01-01T00:00:01Z"', "expected 1970 to 2199"),
+        ("on_start", '"1969-12-31T23:59:59Z"', "expected 1970 to 2199"),
+        ("version: 1", f"version: {2**53}", "write a whole number from 1 to"),
+    ],
+)
+def test_what_no_message_could_say_is_refused(before: str, after: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        Scenario.parse(DOCUMENT.replace(before, after))
+
+
 def profile(state: str, maps_to: str) -> VehicleProfile:
     text = f"{{class: car, state: {state}, sample_time: 0.05, maps_to: {maps_to}, future_inputs: limits}}"
     return parse_profile(yaml.safe_load(text))

@@ -361,7 +361,7 @@ def test_other_refusals(session: zenoh.Session) -> None:
         SideInfoService(session, [LOT, LOT], {}, "a")
     with pytest.raises(ScenarioError, match=r"yard\.yaml: scenario 'yard' is not loaded: loaded are lot"):
         SideInfoService(session, [LOT], {}, "a", files={"yard": Path("yard.yaml")})
-    for offset in (-1.0, float("nan"), float("inf")):
+    for offset in (-1.0, 3600.1, 1e300, float("nan"), float("inf")):
         with pytest.raises(ScenarioError, match="the clock offset"):
             SideInfoService(session, [LOT], {}, "a", clock_offset=offset)
     with pytest.raises(KeyIdError, match="'a b'"):

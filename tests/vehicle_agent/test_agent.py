@@ -103,8 +103,8 @@ class BrittleFilter(PassThrough):
 
 
 def reading(t: int, x: float = 0.0, **changes: Any) -> Reading:
-    fields: dict[str, Any] = {"due": t / 1e9, "measured": np.array([x]), "u": np.array([0.5])}
-    return Reading(t, **{**fields, **changes})
+    fields: dict[str, Any] = {"t": t, "due": t / 1e9, "measured": np.array([x]), "u": np.array([0.5])}
+    return Reading(**{**fields, **changes})
 
 
 @pytest.fixture
@@ -188,6 +188,28 @@ def test_what_cannot_be_published_is_counted(bus: Bus) -> None:
     assert [s.flags for s in samples] == [StateFlag.NEW_TRAJECTORY, StateFlag.NONE]
     assert report.published == 2
     assert report.skipped == {"not_finite": 4, "stamp": 2, "shape": 2, "filter": 1, "source": 1}
+
+
+def test_what_a_server_would_refuse_is_not_sent(bus: Bus) -> None:
+    source = ListSource(
+        [
+            reading(0, 1.0),
+            reading(10, 1e31),
+            reading(20, 2.0, u=np.array([-1e31])),
+            reading(30, 3.0, plan=np.array([[1e31]])),
+            reading(40, 4.0, truth=np.array([1e31])),
+            reading(50, 5.0, plan=np.zeros((600, 1))),
+            reading(60, 6.0, plan=np.zeros((505, 1))),
+            reading(2**63, 7.0, due=0.06),
+            reading(70, 8.0),
+        ],
+        knows_truth=True,
+    )
+    with make(source) as agent:
+        report = run([agent], threading.Event())["car"]
+    assert [s.x[0] for s in bus.samples()] == [1.0, 8.0]
+    assert [s.seq for s in bus.samples()] == [0, 1]
+    assert (report.published, report.skipped) == (2, {"range": 6, "too_large": 1})
 
 
 def test_a_network_in_trouble_does_not_stop_the_loop(bus: Bus) -> None:

@@ -1,7 +1,7 @@
 """One good example, or a strategy of them, for each message."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -26,18 +26,33 @@ from fleet_bus.messages import (
     StateSample,
     VehicleProfile,
     parse_profile,
+    ranges,
 )
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
 from fleet_bus.messages.methods import TUBE_METHODS
+from fleet_bus.messages.ranges import Range
 
 T0 = 1_700_000_000_000_000_000
 
 ids = st.from_regex(keys.ID_PATTERN, fullmatch=True)
-stamps = st.integers(1, 2**63 - 1)
-unsigned = st.integers(0, 2**64 - 1)
-finite = st.floats(allow_nan=False, allow_infinity=False)
-halves = st.floats(0, 1e300)
+
+
+def whole(span: Range) -> st.SearchStrategy[int]:
+    """Integers of a range."""
+    return st.integers(int(span.low), int(span.high))
+
+
+def numbers(span: Range, width: Literal[32, 64] = 64) -> st.SearchStrategy[float]:
+    """Floats of a range, its ends among them; of ``width`` bits, inside of it."""
+    low, high = (float(np.float32(0.999 * end)) if width == 32 else end for end in (span.low, span.high))
+    return st.floats(low, high, width=width)
+
+
+stamps = whole(ranges.TIME)
+epochs, seqs = whole(ranges.EPOCH), whole(ranges.SEQ)
+finite = numbers(ranges.VALUE)
+halves = numbers(ranges.SIZE)
 
 
 def arrays(shape: tuple[int, ...], elements: st.SearchStrategy[float] = finite) -> st.SearchStrategy[NDArray[Any]]:
@@ -46,14 +61,14 @@ def arrays(shape: tuple[int, ...], elements: st.SearchStrategy[float] = finite) 
 
 @st.composite
 def samples(draw: st.DrawFn, n: int | None = None, m: int | None = None) -> StateSample:
-    n = draw(st.integers(0, 6)) if n is None else n
+    n = draw(st.integers(1, 6)) if n is None else n
     m = draw(st.integers(0, 3)) if m is None else m
     steps = draw(st.integers(0, 5))
     flags = StateFlag(draw(st.integers(0, 15)) & ~StateFlag.BOUND)
     bound = draw(st.none() | arrays((n,), halves))
     return StateSample(
-        draw(unsigned),
-        draw(unsigned),
+        draw(epochs),
+        draw(seqs),
         draw(stamps),
         draw(arrays((n,))),
         draw(arrays((m,))),
@@ -67,41 +82,41 @@ def samples(draw: st.DrawFn, n: int | None = None, m: int | None = None) -> Stat
 @st.composite
 def tubes(draw: st.DrawFn) -> ReachTube:
     h, n, g, k = (draw(st.integers(*bounds)) for bounds in ((1, 5), (1, 4), (0, 6), (0, 12)))
-    single = st.floats(allow_nan=False, allow_infinity=False, width=32)
+    single, double, areas = numbers(ranges.SET_VALUE, 32), numbers(ranges.SET_VALUE), numbers(ranges.AREA)
     texts = st.text(max_size=20)
     checked = draw(st.integers(0, 2**40))
     recent = draw(st.integers(0, min(checked, 1000)))
     index = st.integers(0, n - 1)
     return ReachTube(
         draw(ids),
-        draw(unsigned),
-        draw(unsigned),
+        draw(epochs),
+        draw(seqs),
         draw(stamps),
-        draw(npst.arrays(np.int64, (h,))),
+        draw(npst.arrays(np.int64, (h,), elements=whole(ranges.AHEAD))),
         tuple(draw(st.lists(texts, min_size=n, max_size=n))),
         (draw(index), draw(index)),
         draw(st.sampled_from(TUBE_METHODS)),
         draw(st.sampled_from(Label)),
-        draw(arrays((h, n))),
+        draw(arrays((h, n), double)),
         draw(arrays((h, n, g), single)),
         draw(arrays((h, 2, n), single)),
         draw(arrays((h, k, 2), single)),
-        draw(arrays((h,))),
-        draw(arrays((h,))),
+        draw(arrays((h,), areas)),
+        draw(arrays((h,), areas)),
         tuple(draw(st.lists(st.builds(Cut, texts, texts, st.integers(1, h), st.integers(1, h)), max_size=3))),
         tuple(draw(st.lists(texts, max_size=3))),
         draw(st.dictionaries(texts, texts, max_size=3)),
         Audit(
             checked,
             draw(st.integers(0, checked)),
-            draw(halves),
+            draw(numbers(ranges.MISS)),
             recent,
             draw(st.integers(0, recent)),
             draw(st.integers(0, recent)),
         ),
         draw(texts),
-        draw(unsigned),
-        draw(halves),
+        draw(epochs),
+        draw(numbers(ranges.DURATION)),
     )
 
 

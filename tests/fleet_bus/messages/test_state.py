@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet_bus.errors import MessageError
-from fleet_bus.messages import StateBatch, StateFlag, StateSample, decode_states
+from fleet_bus.messages import StateBatch, StateFlag, StateSample, decode_states, ranges
 from fleet_bus.messages.state import ENCODING, MAX_BYTES
 from tests.fleet_bus.messages.examples import T0, a_sample, refusal, samples
 
@@ -71,6 +71,19 @@ NAN, INF = float("nan"), float("inf")
 REFUSED = {
     "time zero": (payload(changed(t=0), [0, 0, 0]), "range"),
     "time before 1970": (payload(changed(t=-1), [0, 0, 0]), "range"),
+    "time after 2199": (payload(changed(t=ranges.LATEST + 1), [0, 0, 0]), "range"),
+    "time near the end of 64 bits": (payload(changed(t=2**63 - 1), [0, 0, 0]), "range"),
+    "epoch beyond all times": (payload(changed(epoch=2**64 - 1), [0, 0, 0]), "range"),
+    "seq that no agent reaches": (payload(changed(seq=2**53), [0, 0, 0]), "range"),
+    "state beyond all measurements": (payload(GOOD, [0, -1.1e30, 0]), "range"),
+    "input beyond all measurements": (payload(GOOD, [0, 0, 1.1e30]), "range"),
+    "bound beyond all measurements": (payload(changed(flags=4), [0, 0, 0, 1.1e30, 0]), "range"),
+    "plan beyond all measurements": (payload(changed(plan=1), [0, 0, 0, 1.1e30, 0]), "range"),
+    "tolerance beyond all measurements": (payload(changed(plan=1), [0, 0, 0, 0, 1.1e30]), "range"),
+    "no state": (payload(changed(n=0), [0]), "range"),
+    "too many states": (payload(changed(n=33), [0] * 34), "range"),
+    "too many inputs": (payload(changed(m=17), [0] * 19), "range"),
+    "a plan of nothing, longer than any": (payload(changed(m=0, plan=65535), [0, 0]), "range"),
     "unknown flag": (payload(changed(flags=16), [0, 0, 0]), "range"),
     "reserved in use": (payload(changed(reserved=1), [0, 0, 0]), "range"),
     "too few numbers": (payload(GOOD, [0, 0]), "shape"),
@@ -190,4 +203,58 @@ def test_the_longest_plan_that_fits_is_accepted_and_one_more_is_refused() -> Non
     fits = a_sample(plan=np.zeros((room // 2 - 1, 2))).encode()
     assert len(fits) <= MAX_BYTES
     StateSample.decode(fits)
-    assert refusal(StateSample.decode, a_sample(plan=np.zeros((room // 2 + 1, 2))).encode()) == "too_large"
+    assert refusal(a_sample(plan=np.zeros((room // 2 + 1, 2))).encode) == "too_large"
+
+
+UNSENDABLE = {
+    "NaN": (a_sample(x=np.array([0.0, NAN, 0.0, 0.0])), "not_finite"),
+    "infinite plan": (a_sample(plan=np.array([[0.0, INF]])), "not_finite"),
+    "huge state": (a_sample(x=np.full(4, 1e31)), "range"),
+    "negative bound": (a_sample(bound=np.array([0.1, 0.1, -0.1, 0.1])), "range"),
+    "no time": (a_sample(t=0), "range"),
+    "time beyond 64 bits": (a_sample(t=2**70), "range"),
+    "negative seq": (a_sample(seq=-1), "range"),
+    "epoch beyond 64 bits": (a_sample(epoch=2**64), "range"),
+    "unknown flag": (a_sample(flags=StateFlag(16)), "range"),
+    "33 states": (a_sample(x=np.zeros(33)), "range"),
+    "bound of other length": (a_sample(bound=np.zeros(3)), "shape"),
+    "plan of other width": (a_sample(plan=np.zeros((3, 1))), "shape"),
+    "tolerance of other length": (a_sample(plan=np.zeros((3, 2)), plan_tolerance=np.zeros(3)), "shape"),
+}
+
+
+@pytest.mark.parametrize("what", UNSENDABLE)
+def test_what_would_be_refused_is_not_encoded(what: str) -> None:
+    sample, reason = UNSENDABLE[what]
+    assert refusal(sample.encode) == reason
+
+
+whole_header = st.tuples(
+    *[
+        st.sampled_from([0, 1, int(span.low), int(span.high), int(span.high) + 1, *extra])
+        for span, extra in (
+            (ranges.EPOCH, (2**64 - 1,)), (ranges.SEQ, (2**63, 2**64 - 1)), (ranges.TIME, (-1, 2**63 - 1, -(2**63))),
+            (ranges.FLAGS, (2**31,)),
+        )
+    ]
+)  # fmt: skip
+extremes = st.sampled_from([0.0, -0.0, 5e-324, 1e30, -1e30, np.nextafter(1e30, 2e30), -1.1e30, 1e308, NAN, INF, -INF])
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(whole_header, st.lists(extremes, min_size=7, max_size=7)), min_size=1, max_size=8))
+def test_both_ways_of_reading_hold_the_same_ranges(made: list[tuple[tuple[int, ...], list[float]]]) -> None:
+    """Samples of one layout, so that they are read as a batch, with numbers at and beyond the ends of their ranges."""
+    payloads = [
+        payload((*header, 2, 1, 1, 0), [*n[:3], *(n[3:5] if header[3] & 4 else []), *n[5:]]) for header, n in made
+    ]
+    reasons: dict[int, str] = {}
+    for index, raw in enumerate(payloads):
+        try:
+            assert StateSample.decode(raw).encode() == raw
+        except MessageError as error:
+            reasons[index] = error.reason
+    batches, refused = decode_states(payloads, [ENCODING] * len(payloads))
+    assert {index: error.reason for index, error in refused} == reasons
+    read = sorted(i for batch in batches for i in batch.index.tolist())
+    assert read == [i for i in range(len(payloads)) if i not in reasons]
