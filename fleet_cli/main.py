@@ -98,7 +98,7 @@ def reach(
 
 @app.command("side-info")
 def side_info(
-    scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
+    scenarios: Annotated[list[str] | None, typer.Argument(help="Shipped scenarios or scenario files.")] = None,
     assign: Annotated[
         list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
     ] = None,
@@ -108,7 +108,8 @@ def side_info(
 ) -> None:
     """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.
 
-    Scenario files are watched: a changed one is published once its version is raised and it checks.
+    Scenario files are watched: a changed one is published once its version is raised and it checks. Without a scenario
+    nothing is published but that the service is there.
     """
     from fleet_bus import Role, open_session
     from side_info import watching
@@ -116,12 +117,15 @@ def side_info(
     from side_info.service import EVERY_VEHICLE, SideInfoService
 
     stop = stop_on_signals()
-    loaded = [Scenario.load(name) for name in scenarios]
-    pairs = _pairs(assign) if assign else {EVERY_VEHICLE: loaded[0].name}
-    files = watching.files(scenarios, loaded)
+    names = scenarios or []
+    loaded = [Scenario.load(name) for name in names]
+    pairs = _pairs(assign or []) if assign or not loaded else {EVERY_VEHICLE: loaded[0].name}
+    files = watching.files(names, loaded)
+    if not loaded:
+        logs.warn("no scenario is named, so none is published")
     with open_session(Role.SERVICE, router, stop=stop) as session:
         service = SideInfoService(session, loaded, pairs, id, files=files, clock_offset=clock_offset)
-        logs.say(f"side-info publishes {', '.join(s.name for s in loaded)}")
+        logs.say(f"side-info publishes {', '.join(s.name for s in loaded) or 'no scenario'}")
         service.run(stop)
 
 
