@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
@@ -39,11 +39,19 @@ class Router:
     says. Wherever the file leaves a setting at Zenoh's default, the fleet's own applies: no scouting, no
     shared memory, 10 000 sessions, a lease of 2 s, an admin space that can be read.
 
+    ``warn`` is told each of ``warnings`` before it starts.
+
     Raises ``UsageError`` for a malformed endpoint or a file that cannot be read or is not a router's,
     ``SessionError`` if it cannot listen.
     """
 
-    def __init__(self, listen: Sequence[str] | None = None, *, config_file: Path | None = None) -> None:
+    def __init__(
+        self,
+        listen: Sequence[str] | None = None,
+        *,
+        config_file: Path | None = None,
+        warn: Callable[[str], object] | None = None,
+    ) -> None:
         config = zenoh.Config() if config_file is None else _read(config_file)
         if listen is None and config_file is None:
             listen = (DEFAULT_ROUTER,)
@@ -54,6 +62,9 @@ class Router:
         configure(config, untouched | {"mode": "router"})
         self.warnings: tuple[str, ...] = _warnings(config)
         """What the file asks for and does not get, or will regret; one sentence each."""
+        if warn is not None:
+            for warning in self.warnings:
+                warn(warning)
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:

@@ -109,7 +109,10 @@ def open_session(
     if stop is not None and stop.is_set():
         raise Stopped("told to end before a session was opened")
     if role is Role.AGENT:
-        return zenoh.open(config)
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            raise SessionError(f"no session can be opened: {error}") from error
     return _open_client(config, endpoints, timeout, threading.Event() if stop is None else stop)
 
 

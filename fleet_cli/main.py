@@ -75,9 +75,7 @@ def router(
 
     stop = stop_on_signals()
     endpoints = listen or ([f"tcp/127.0.0.1:{port}"] if config is None else None)
-    with Router(endpoints, config_file=config) as running:
-        for warning in running.warnings:
-            logs.warn(warning)
+    with Router(endpoints, config_file=config, warn=logs.warn) as running:
         logs.say(f"router listens on {' '.join(running.endpoints)}")
         stop.wait()
 
