@@ -30,7 +30,8 @@ class Received:
     payload: bytes
     encoding: str
     timestamp_ns: int | None
-    """When it was put, by the publisher's hybrid logical clock, in Unix nanoseconds; for latencies only."""
+    """When it was put, by the publisher's hybrid logical clock, in Unix nanoseconds; for latencies on one machine only,
+    since one clock that is ahead moves those of all others."""
 
 
 class _Handle(Protocol):
