@@ -91,7 +91,10 @@ class CachedPublisher(Declared):
         self._publisher = publisher
 
     def put(self, payload: bytes) -> None:
-        """Send ``payload`` to whoever listens and keep it in the cache; ``zenoh.ZError`` once closed."""
+        """Send ``payload`` to whoever listens and keep it in the cache; ``zenoh.ZError`` once closed.
+
+        From one thread: where two overtake each other, readers without recovery lose what comes out of order.
+        """
         self._publisher.put(payload)
 
 

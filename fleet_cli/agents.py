@@ -4,7 +4,8 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import zenoh
 
 from fleet_bus import Role, keys, open_session
 from fleet_bus.errors import FleetError, UsageError
@@ -16,9 +17,6 @@ from vehicle_agent.filters import Filter, PassThrough, filter_for
 from vehicle_agent.recording import load_recording
 from vehicle_agent.route import load_route
 from vehicle_agent.sources import RecordingSource, SimulatedSource, Source
-
-if TYPE_CHECKING:
-    import zenoh
 
 #: Seconds after which agents without a router say so; they go on trying.
 PATIENCE = 5.0
@@ -75,12 +73,15 @@ def work(
     return reports
 
 
-def _tell_if_alone(session: "zenoh.Session", routers: Sequence[str], stop: threading.Event) -> None:
+def _tell_if_alone(session: zenoh.Session, routers: Sequence[str], stop: threading.Event) -> None:
     """Say once why there is no router yet; agents would wait for one in silence."""
     if not stop.wait(PATIENCE) and not session.is_closed():
         try:
             why = why_not_connected(session, routers)
         except FleetError as error:
             why = str(error)
+        except zenoh.ZError:
+            # It was closed in this moment.
+            return
         if why is not None:
             logs.warn(f"not connected yet, still trying: {why}")

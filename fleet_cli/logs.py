@@ -91,11 +91,12 @@ class LineWriter:
         data = memoryview(f"{text}\n".encode(errors="backslashreplace"))
         while data:
             try:
+                # Whoever shares a pipe may have made it non-blocking.
+                select.select([], [self._descriptor], [])
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:
-                # Whoever shares the pipe has made it non-blocking.
-                select.select([], [self._descriptor], [])
-            except OSError:
+                continue
+            except (OSError, ValueError):
                 return False
         return True
 

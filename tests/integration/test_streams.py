@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -18,7 +19,7 @@ from fleet_bus.messages import ServiceStatus
 from fleet_bus.messages.state import ENCODING
 from fleet_bus.pubsub import Received, declare_recovering_subscriber, watch_alive
 from fleet_bus.router import Router
-from tests.integration.conftest import ROOT
+from tests.integration.conftest import ROOT, Start
 from tests.waiting import wait_until
 
 pytestmark = [pytest.mark.integration, pytest.mark.slow]
@@ -73,7 +74,7 @@ def end(process: subprocess.Popen[bytes]) -> int:
 
 
 @contextmanager
-def alive(session: zenoh.Session, process: subprocess.Popen[bytes], key: str) -> Iterator[None]:
+def alive(session: zenoh.Session, process: subprocess.Popen[Any], key: str) -> Iterator[None]:
     seen: list[bool] = []
 
     def there() -> bool:
@@ -130,6 +131,21 @@ def test_a_router_works_and_ends_in_order_without_a_log(kind: str) -> None:
         wait_until(lambda: opened, LONG, meanwhile=connect)
         with opened[0]:
             assert end(process) == 0
+
+
+def test_an_agent_without_a_router_says_so_and_goes_on(start: Start) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    process = start("agent", "--vehicle", "car", "--router", endpoint)
+    process.expect(f"not connected yet, still trying: no router answers at {endpoint}", LONG)
+    with (
+        Router([endpoint]),
+        open_session(Role.SERVICE, [endpoint]) as session,
+        alive(session, process.process, keys.alive("car")),
+    ):
+        pass
+    assert process.end() == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
