@@ -162,10 +162,16 @@ def say(text: str) -> None:
     writer.line(text)
 
 
+def tell(text: str) -> None:
+    """Say to stderr what the user must know, whatever the level of the log."""
+    if "stderr" not in _writers:
+        _writers["stderr"] = LineWriter(sys.stderr)
+    _writers["stderr"].line(text)
+
+
 def warn(text: str) -> None:
     """Say to stderr what the user should know, whatever the level of the log."""
-    writer = _writers.get("stderr") or LineWriter(sys.stderr)
-    writer.line(f"warning: {text}")
+    tell(f"warning: {text}")
 
 
 def flush() -> None:

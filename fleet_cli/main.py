@@ -4,7 +4,8 @@ import logging
 import signal
 import sys
 import threading
-from contextlib import suppress
+import traceback
+from io import StringIO
 from pathlib import Path
 from typing import Annotated
 
@@ -42,10 +43,15 @@ def main() -> None:
         # Told to end before there was anything to do.
         sys.exit(0)
     except FleetError as error:
-        logs.flush()
-        with suppress(OSError):
-            Console(stderr=True).print(f"[bold red]error[/]: {escape(str(error))}", highlight=False, soft_wrap=True)
+        # Rich itself would fail, or wait, where stderr takes nothing.
+        line = StringIO()
+        console = Console(file=line, force_terminal=sys.stderr is not None and sys.stderr.isatty())
+        console.print(f"[bold red]error[/]: {escape(str(error))}", highlight=False, soft_wrap=True, end="")
+        logs.tell(line.getvalue())
         sys.exit(2 if isinstance(error, UsageError) else 1)
+    except Exception:
+        logs.tell(traceback.format_exc().rstrip())
+        sys.exit(1)
 
 
 @app.callback()

@@ -133,6 +133,17 @@ def test_a_router_works_and_ends_in_order_without_a_log(kind: str) -> None:
             assert end(process) == 0
 
 
+@pytest.mark.parametrize("kind", ["full", "closed", "stuck"])
+@pytest.mark.parametrize(
+    ("code", "arguments"),
+    [(1, ["reach", "--router", "tcp/127.0.0.1:1"]), (2, ["agent", "--vehicle", "a b"])],
+    ids=["no router", "wrong use"],
+)
+def test_an_error_that_nobody_reads_ends_with_its_exit_code(code: int, arguments: list[str], kind: str) -> None:
+    with running(kind, *arguments) as process:
+        assert process.wait(LONG) == code
+
+
 def test_an_agent_without_a_router_says_so_and_goes_on(start: Start) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
