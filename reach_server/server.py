@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -62,15 +63,19 @@ class ReachServer:
     """One reach server between ``with``; ``run`` works until told to stop.
 
     Three sessions: *input* carries states only, *control* everything rare (liveliness tokens in a session slow
-    down its data), *output* the tubes. Raises ``SessionError`` if no router answers.
+    down its data), *output* the tubes. Raises ``SessionError`` if no router answers, ``Stopped`` if ``stop`` is set
+    before one does.
     """
 
-    def __init__(self, instance: str, routers: Sequence[str] = (DEFAULT_ROUTER,)) -> None:
+    def __init__(
+        self, instance: str, routers: Sequence[str] = (DEFAULT_ROUTER,), *, stop: threading.Event | None = None
+    ) -> None:
         self.instance = keys.check_id(instance, "server")
         self.rejections = Rejections()
         self.ingest = Ingest(self.rejections)
         self.fleet = Fleet(self.rejections)
         self._routers = routers
+        self._stop = stop
         self._control: deque[Received | tuple[str, bool]] = deque()
         self._open = ExitStack()
         self._tubes: dict[str, CachedPublisher] = {}
@@ -99,9 +104,10 @@ class ReachServer:
 
     def __enter__(self) -> "ReachServer":
         with ExitStack() as opening:
-            self._output: zenoh.Session = opening.enter_context(open_session(Role.SERVICE, self._routers))
-            control = opening.enter_context(open_session(Role.SERVICE, self._routers))
-            self._query = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            opened = partial(open_session, Role.SERVICE, self._routers, stop=self._stop)
+            self._output: zenoh.Session = opening.enter_context(opened())
+            control = opening.enter_context(opened())
+            self._query = opening.enter_context(opened())
             declare = opening.enter_context
             status = keys.service_status("reach", self.instance)
             self._status = declare(declare_cached_publisher(self._output, status, ServiceStatus.encoding(), cache=1))
@@ -118,11 +124,11 @@ class ReachServer:
                     )
                 )
             declare(watch_alive(control, keys.ALL_ALIVE, lambda key, alive: self._control.append((key, alive))))
-            states = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            states = opening.enter_context(opened())
             declare(declare_recovering_subscriber(states, keys.ALL_STATES, self.ingest.put, history=HISTORY))
             declare(declare_alive(control, keys.service("reach", self.instance)))
+            _log.info("reach server ready", id=self.instance, routers=list(self._routers))
             self._open = opening.pop_all()
-        _log.info("reach server ready", id=self.instance, routers=list(self._routers))
         return self
 
     def __exit__(self, *exc_info: object) -> None:
