@@ -1,9 +1,11 @@
 """The shipped router configuration: it serves every vehicle alike, and no reader relies on what it filters."""
 
 import json
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 import zenoh
@@ -41,7 +43,10 @@ def sample(seq: int) -> bytes:
 
 def too_large(seq: int) -> bytes:
     plan = np.zeros((MAX_BYTES // 16 + 1, 2))
-    big = StateSample(1, seq, 10**18 + seq * PROFILE.sample_time_ns, np.zeros(4), np.zeros(2), plan=plan).encode()
+    numbers = np.concatenate([np.zeros(6), plan.ravel(), np.zeros(2)]).tobytes()
+    # No sample that is encoded is as large as that.
+    header = struct.pack("<QQqIHHHHxxxx", 1, seq, 10**18 + seq * PROFILE.sample_time_ns, 0, 4, 2, len(plan), 0)
+    big: bytes = msgpack.packb({"d": header + numbers})
     assert len(big) > MAX_BYTES
     return big
 
