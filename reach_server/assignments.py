@@ -125,6 +125,10 @@ class Assignments:
             self._began[slot] = 0
         self._began_as.pop(slot, None)
 
+    def forget_beginning(self, slot: int) -> None:
+        """What began last of a vehicle may have had a number that was wrong: whichever begins next counts."""
+        self._began_as.pop(slot, None)
+
     def _drop_idle(self) -> None:
         """Forget the scenarios that no vehicle takes part in."""
         self._courses = {name: course for name, course in self._courses.items() if course.assigned.any()}

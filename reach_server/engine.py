@@ -182,6 +182,9 @@ class Engine:
         stored = appended.stored_rows
         recorded = batch.flags & int(StateFlag.HISTORY) != 0
         begins = stored & ~recorded & ((batch.flags & int(StateFlag.NEW_TRAJECTORY) != 0) | (batch.seq == 0))
+        for slot in np.unique(batch.vehicle[appended.rows(ring.RESYNCED)]).tolist():
+            # Of what began with a number that was wrong, what follows is not the continuation.
+            self._assignments.forget_beginning(slot)
         if begins.any():
             order = list(zip(batch.epoch[begins].tolist(), batch.seq[begins].tolist(), strict=True))
             self._assignments.began(batch.vehicle[begins], batch.t[begins], order)
