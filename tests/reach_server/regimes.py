@@ -118,7 +118,7 @@ def tubes_of(made: VehicleProfile, driven: Drive, method: str) -> dict[int, Tube
                 np.zeros(1, dtype=np.uint32),
                 driven.measured[k : k + 1],
                 driven.u[k : k + 1],
-            )  # fmt: skip
+            )
         )
         if method in tubes.methods:
             found[k] = tubes
