@@ -7,7 +7,7 @@ other states and of the bounds that both have in this one. Sets that lie within 
 last bit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,25 +42,25 @@ def within(
         for row_sets, areas in ((free, area_free), (steps, area)):
             sets = row_sets[k]
             bottom, top = _in_turn(sets.center, low[:, k], high[:, k], angles)
-            rows = _beyond(sets, bottom, top)
-            if not len(rows):
-                continue
-            cut[rows] = True
-            held = _held(take(sets, rows), bottom[rows], top[rows], plane)
-            found = figures(held, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
-            areas[rows, k] = np.minimum(areas[rows, k], found.area)
-            if row_sets is steps:
-                moved = held.center - sets.center[rows]
-                heights[rows, k] = np.minimum(heights[rows, k] - moved[:, plane] @ WAYS.T, found.heights)
-                hull[rows, k, 0] = np.maximum(hull[rows, k, 0] - moved, found.hull[:, 0])
-                hull[rows, k, 1] = np.minimum(hull[rows, k, 1] - moved, found.hull[:, 1])
-            row_sets[k] = replace_rows(sets, rows, held)
+            for rows, some in _alike(sets, _beyond(sets, bottom, top)):
+                cut[rows] = True
+                held = _held(some, bottom[rows], top[rows], plane)
+                found = figures(held, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
+                areas[rows, k] = np.minimum(areas[rows, k], found.area)
+                if row_sets is steps:
+                    moved = held.center - some.center
+                    # No matrix product: its rounding depends on how many rows there are.
+                    along = moved[:, plane[:1]] * WAYS[:, 0] + moved[:, plane[1:]] * WAYS[:, 1]
+                    heights[rows, k] = np.minimum(heights[rows, k] - along, found.heights)
+                    hull[rows, k, 0] = np.maximum(hull[rows, k, 0] - moved, found.hull[:, 0])
+                    hull[rows, k, 1] = np.minimum(hull[rows, k, 1] - moved, found.hull[:, 1])
+                row_sets[k] = replace_rows(row_sets[k], rows, held)
         larger = np.flatnonzero(cut & (area[:, k] > area_free[:, k]))
-        if len(larger):
-            # The set without side information holds the one with it.
-            found = figures(take(free[k], larger), np.zeros((len(larger), 0), dtype=bool), PlaneStrips.none(), plane)
-            steps[k] = replace_rows(steps[k], larger, take(free[k], larger))
-            area[larger, k], heights[larger, k], hull[larger, k] = found.area, found.heights, found.hull
+        # The set without side information holds the one with it.
+        for rows, some in _alike(free[k], larger):
+            found = figures(some, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
+            steps[k] = replace_rows(steps[k], rows, some)
+            area[rows, k], heights[rows, k], hull[rows, k] = found.area, found.heights, found.hull
     if not cut.any():
         return reach, cut
     return replace(
@@ -81,7 +81,21 @@ def _in_turn(center: Floats, low: Floats, high: Floats, angles: Sequence[int]) -
 
 
 def _spread(sets: FactorSet) -> Floats:
-    return np.asarray(np.abs(sets.generators).sum(axis=-1))
+    """Half-widths (B, n), summed one by one: zero columns, of which there are more beside wider sets, change no bit."""
+    if not sets.generators.shape[2]:
+        return np.zeros_like(sets.center)
+    return np.asarray(np.cumsum(np.abs(sets.generators), axis=-1)[..., -1])
+
+
+def _alike(sets: FactorSet, rows: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], FactorSet]]:
+    """Some rows of sets, those with equally many columns together, and their sets without zero columns at the end: so
+    no set depends on those beside it."""
+    columns = np.asarray(np.concatenate([sets.generators[rows], sets.matrix[rows]], axis=1).any(axis=1))
+    used = np.where(np.asarray(columns.any(axis=1)), columns.shape[1] - columns[:, ::-1].argmax(axis=1), 0)
+    for count in np.unique(used).tolist():
+        chosen = rows[used == count]
+        some = take(sets, chosen)
+        yield chosen, FactorSet(some.center, some.generators[..., :count], some.matrix[..., :count], some.offset)
 
 
 def _beyond(sets: FactorSet, low: Floats, high: Floats) -> NDArray[np.intp]:

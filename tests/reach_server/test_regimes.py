@@ -9,10 +9,13 @@ import pytest
 
 from fleet_bus.messages import Label
 from reach_server import audit
+from reach_server.engine import Engine
+from reach_server.figures import enclosing
 from reach_server.limits import limits_ahead
 from reach_server.regression import wrap
 from reach_server.results import Tubes
 from reach_server.seen import MARGIN
+from reach_server.windows import SampleBatch
 from tests.reach_server.regimes import NEW, NOVEL, REGIMES, TOTAL, WINDOW, Drive, drive, profile, tubes_of
 
 METHODS = ("set_membership", "residual_hull", "paper", "lti")
@@ -113,3 +116,37 @@ def test_without_stated_limits_sets_stay_within_a_margin_of_what_was_seen(regime
             assert tubes.area[0, h] <= (2 * MARGIN * (h + 1) * fastest) ** 2 * (1 + 1e-5)
         reach = MARGIN * 3 * change[:k].max(axis=0)
         assert (np.ptp(tubes.hull[0, 2], axis=0)[2:] <= 2 * reach[2:] * (1 + 1e-5) + 1e-9).all()
+
+
+@pytest.mark.parametrize("method", ["set_membership", "paper", "calibrated"])
+def test_a_vehicle_whose_sets_are_held_changes_no_other_to_the_last_bit(method: str) -> None:
+    """A vehicle gets beside one whose sets are cut what it gets alone."""
+    made = profile(linear=linear(method), limited=True)
+    driven = [drive(regime, linear=linear(method), seed=seed) for seed, regime in enumerate(("reverse", "parked"))]
+
+    def run_of(cars: list[int]) -> list[Tubes]:
+        engine, found = Engine(made, method=method), []
+        for slot in range(len(cars)):
+            engine.add(f"car-{slot}")
+        for k in range(NOVEL + 120):
+            one, t = np.ones(len(cars), dtype=np.uint64), np.full(len(cars), 10**18 + k * made.sample_time_ns)
+            x, u = (np.stack([getattr(driven[car], name)[k] for car in cars]) for name in ("measured", "u"))
+            batch = SampleBatch(
+                np.arange(len(cars)), one, one * np.uint64(k), t, np.zeros(len(cars), dtype=np.uint32), x, u
+            )
+            found.append(engine.step(batch))
+        return found
+
+    held = 0
+    for alone, both in zip(run_of([0]), run_of([0, 1]), strict=True):
+        if alone.vehicles != ("car-0",) or len(both.vehicles) < 2:
+            continue
+        held += any(note.startswith("within") for note in both.notes[1])
+        assert alone.notes[0] == both.notes[0]
+        assert alone.labels[0] is both.labels[0]
+        for name in ("area", "area_free", "outline", "hull"):
+            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(both, name)[0])
+        for one_set, other in zip(alone.steps, both.steps, strict=True):
+            np.testing.assert_array_equal(one_set.center[0], other.center[0])
+            np.testing.assert_array_equal(enclosing(one_set)[0], enclosing(other)[0])
+    assert held > 5
