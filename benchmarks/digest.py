@@ -58,7 +58,7 @@ class Samples:
 
 
 def digest(profile: VehicleProfile, method: str, samples: Samples, scenario: str = "") -> str:
-    """Hash of all tubes of one vehicle: after its history, or all but the last samples, and after each few of the rest."""
+    """Hash of all tubes of one vehicle: after its history, or all but the last samples, and after each few after."""
     engine, found = Engine(profile, method=method, planned=False), hashlib.sha256()
     engine.add("a")
     count = len(samples.t)

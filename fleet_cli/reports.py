@@ -1,10 +1,11 @@
 """What the command prints: progress, tables, summaries."""
 
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 from rich import box
 from rich.console import Console
@@ -14,6 +15,9 @@ from rich.table import Table
 from fleet_bus.messages import VehicleProfile
 from fleet_cli.evaluation import MethodFigures, StepFigures
 from fleet_cli.evaluation.figures import ROLLING
+
+#: Mean and median of areas that differ by more than this factor are told of.
+APART: Final = 10.0
 
 
 @contextmanager
@@ -89,6 +93,7 @@ def evaluation_lines(figures: Mapping[str, MethodFigures]) -> list[str]:
             step = min(worst, key=lambda s: s.worst_run or 0.0)
             share = 100 * (step.worst_run or 0.0)
             lines.append(f"  worst run of all steps: {step.worst_run_name}, {share:.1f} % at step {step.step}")
+        lines += _areas(method)
         lines += _over_time(method)
         if method.waiting:
             reasons = ", ".join(f"{count} {reason}" for reason, count in method.waiting.items())
@@ -100,6 +105,27 @@ def evaluation_lines(figures: Mapping[str, MethodFigures]) -> list[str]:
             counts = Counter(event.kind for event in method.events)
             told = ", ".join(f"{n} {kind} (first after {first[kind].sample} samples)" for kind, n in counts.items())
             lines.append(f"  events: {told}")
+    return lines
+
+
+def _areas(method: MethodFigures) -> list[str]:
+    """Mean and median of the area at the first and the last step, and where they differ by orders of magnitude: then a
+    few sets are what the mean is made of."""
+    checked = [step for step in method.steps if step.checked]
+    if not checked:
+        return []
+    ends = dict.fromkeys((checked[0], checked[-1]))
+    told = "; ".join(f"{number(s.area_mean)} and {number(s.area_median)} at step {s.step}" for s in ends)
+    lines = [f"  area, mean and median: {told}"]
+    apart = [step for step in checked if step.area_mean > APART * step.area_median]
+    if apart:
+        step = max(apart, key=lambda s: s.area_mean / s.area_median if s.area_median else math.inf)
+        times = number(step.area_mean / step.area_median) if step.area_median else "infinitely many"
+        lines.append(
+            f"  areas differ by orders of magnitude: at step {step.step} the mean is {times} times the median (more "
+            f"than {APART:g} times at {len(apart)} of {len(checked)} steps), so a few sets are far larger than the "
+            "others; the notes of their tubes say why"
+        )
     return lines
 
 

@@ -222,6 +222,10 @@ class Predictions:
         rows = rows[self._met[of] & (self._epoch[of] == epoch[rows]) & (self._seq[of] + np.uint64(1) == seq[rows])]
         return rows, self._free.of(slots[rows])
 
+    def withhold(self, slots: NDArray[np.intp]) -> None:
+        """Let the predictions of some slots wait for nothing: they are not checked."""
+        self._waits[slots] = False
+
     def drop(self, slot: int) -> None:
         """Forget what was predicted for one slot."""
         if slot < len(self._waits):

@@ -27,6 +27,7 @@ from reach_server.sets.planar import outer_polygon
 from reach_server.shortage import too_few
 from reach_server.straight import box_tubes
 from reach_server.windows import Appended, Block, Floats, SampleBatch, Window
+from reach_server.within import within
 from side_info import Scenario
 
 __all__ = ["Engine", "KnownInputs"]
@@ -282,17 +283,28 @@ class Engine:
         # Sets that outgrow all numbers are found out where they are complete, and are not published.
         with np.errstate(over="ignore", invalid="ignore"):
             reach = self._reach(served, forecast, instants)
+            unseen, held = forecast.outlook.unseen, forecast.outlook.held
+            if forecast.outlook.low is not None and forecast.outlook.high is not None:
+                reach, cut = within(
+                    reach, forecast.outlook.low, forecast.outlook.high, self.profile.position,
+                    np.flatnonzero(self.profile.angles).tolist(),
+                )  # fmt: skip
+                held[:, 0] |= cut
             publishable = reach.publishable()
         if not publishable.all():
             for slot in served.slots[~publishable].tolist():
                 waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
             rows = np.flatnonzero(publishable)
             served, reach, instants = served.rows(rows), reach.rows(rows), take(instants, rows)
+            unseen, held = unseen[rows], held[rows]
         events += self._contradictions(served, reach)
         times = self._times(served)
+        unclaimed = self._labels.unclaimed(np.asarray(unseen.any(axis=1)))
         self._record.predictions.keep(
             served.slots, served.epoch, served.seq, times[:, 0], reach.steps[0], reach.free[0]
         )
+        # What claims nothing is not held against a confidence.
+        self._record.predictions.withhold(served.slots[unclaimed])
         slots = served.slots.tolist()
         deficient = self._method.rank_deficient(served.slots)
         against = np.isin(served.slots, sorted(self._assignments.contradicted()))
@@ -302,8 +314,9 @@ class Engine:
         return Tubes(
             tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times,
             reach.steps, reach.free, reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of(wrong), (self.method,) * len(slots), self._assignments.describe(reach.acted),
-            self._labels.notes(deficient, against, reach.emptied), self._verdicts(instants, reach.steps), (), {},
+            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.acted),
+            self._labels.notes(deficient, against, reach.emptied, unseen, held),
+            self._verdicts(instants, reach.steps), (), {},
         )  # fmt: skip
 
     def _times(self, served: Served) -> NDArray[np.int64]:

@@ -23,6 +23,7 @@ from reach_server.recursion import InputSets
 from reach_server.regression import Layout
 from reach_server.reservoir import Reservoir
 from reach_server.rows import with_room
+from reach_server.seen import Seen, ranges_many
 from reach_server.selection import Data, choose_many
 from reach_server.shortage import samples_missing
 from reach_server.windows import Floats, Window
@@ -37,7 +38,7 @@ DATA_PER_UNKNOWN = 2
 
 @dataclass(slots=True, eq=False)
 class _Store:
-    """The models in use, by slot: as in ``Model``."""
+    """The models in use, by slot: as in ``Model``, and the ranges ``low`` and ``high`` (V, p) of the regressors."""
 
     matrix: Floats
     noise: Floats
@@ -45,6 +46,8 @@ class _Store:
     directions: Floats
     rank_deficient: NDArray[np.bool_]
     fitted: NDArray[np.bool_]
+    low: Floats
+    high: Floats
 
 
 class ResidualModels:
@@ -96,7 +99,14 @@ class ResidualModels:
         nothing = np.zeros((0, n, 1 + p))
         noise = noise_set(nothing, np.zeros((0, p + n)), layout, bounds)
         self._store = _Store(
-            nothing, noise, nothing[..., 1:], thin_directions(noise), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+            nothing,
+            noise,
+            nothing[..., 1:],
+            thin_directions(noise),
+            np.zeros(0, dtype=bool),
+            np.zeros(0, dtype=bool),
+            np.zeros((0, p)),
+            np.zeros((0, p)),
         )
 
     def grow(self, slots: int) -> None:
@@ -136,6 +146,10 @@ class ResidualModels:
     def newest(self, slots: Slots) -> Floats:
         """The newest states (B, n) that were taken in, angles in the turn that the models hold in."""
         return np.asarray(self._memory.newest[slots])
+
+    def seen(self, slots: Slots) -> Seen:
+        """The regressors that the windows of some vehicles (B,) show."""
+        return Seen(self._store.low[slots], self._store.high[slots])
 
     def learn(self, slots: Slots) -> None:
         """Take in what has come of some vehicles (B,), each once, and fit where it is time."""
@@ -204,6 +218,7 @@ class ResidualModels:
         self._memory.since[new] = phase % REFIT_EVERY
         self._memory.age[new] = phase % self._window.size
         store.fitted[slots] = True
+        ranges_many(slots, self._memory.z, self._memory.valid, store.low, store.high)
 
     def _phase(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers (B,) that follow from the data of vehicles just fitted, and are spread like chance."""

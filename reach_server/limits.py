@@ -1,4 +1,7 @@
-"""Sets from stated limits alone: where a vehicle can be whatever its model is, for as long as it has none."""
+"""What stated limits say of where a vehicle can be, whatever its model is: its sets while it has none, later a bound of
+them."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,10 +13,26 @@ from reach_server.windows import Floats
 OUTWARDS = 1e-9
 
 
-def limit_sets(profile: VehicleProfile, x: Floats, horizon: int) -> tuple[Floats, Floats] | None:
-    """Centres (B, N, n) and diagonal generators (B, N, n, n) of boxes that hold the true states 1 to N sample times
-    after the received states ``x`` (B, n); None where the profile does not bound every state. Outer bounds; a vehicle
-    whose received state proves wrong what alone bounds a state has infinite generators.
+@dataclass(frozen=True, slots=True, eq=False)
+class Ahead:
+    """Bounds of the states 1 to N sample times after received ones: ``low`` and ``high`` (B, N, n); ``way`` (B, N)
+    bounds how far the true position gets from where it is now, and ``error`` (n,) are the half-widths of the stated
+    measurement noise, zero where none is. What nothing bounds is infinite."""
+
+    low: Floats
+    high: Floats
+    way: Floats
+    error: Floats
+
+
+def states_limits(profile: VehicleProfile) -> bool:
+    """Whether a profile states any limit or rate of a state."""
+    return any(spec.limits is not None or spec.rate is not None for spec in profile.state.values())
+
+
+def limits_ahead(profile: VehicleProfile, x: Floats, horizon: int) -> Ahead:
+    """Bounds of the true states 1 to N sample times after the received states ``x`` (B, n): outer, if what the profile
+    states of states and measurement holds.
 
     Let e be the half-widths of the stated measurement noise (zero where none is stated: the label then claims nothing).
     The true state now lies within ``x ± e``, and t seconds later
@@ -31,13 +50,13 @@ def limit_sets(profile: VehicleProfile, x: Floats, horizon: int) -> tuple[Floats
     if profile.noise.measurement is not None:
         error = np.abs(profile.noise.measurement.matrix()).sum(axis=1)
     t: Floats = profile.sample_time * np.arange(1.0, horizon + 1)
+    way = np.full((len(x), horizon), np.inf)
     rate = np.array([np.inf if spec.rate is None else spec.rate for spec in states])
     change = np.broadcast_to(t[:, None] * rate, (len(x), horizon, len(states))).copy()
     positions = list(profile.position) if profile.roles.position is not None else []
     if positions:
-        distance = _distance(profile, x, error, t)
-        change[..., positions] = np.minimum(change[..., positions], distance[..., None])
-    # What nothing bounds is infinite here.
+        way = _distance(profile, x, error, t)
+        change[..., positions] = np.minimum(change[..., positions], way[..., None])
     low, high = x[:, None] - error - change, x[:, None] + error + change
     for i, spec in enumerate(states):
         if spec.limits is not None and not spec.angle:
@@ -45,14 +64,25 @@ def limit_sets(profile: VehicleProfile, x: Floats, horizon: int) -> tuple[Floats
             right = (x[:, i] + error[i] >= least) & (x[:, i] - error[i] <= greatest)
             low[right, :, i] = np.maximum(low[right, :, i], least)
             high[right, :, i] = np.minimum(high[right, :, i], greatest)
+    return Ahead(low, high, way, error)
+
+
+def limit_sets(profile: VehicleProfile, x: Floats, horizon: int) -> tuple[Floats, Floats] | None:
+    """Centres (B, N, n) and diagonal generators (B, N, n, n) of boxes that hold the true states 1 to N sample times
+    after the received states ``x`` (B, n); None where the profile does not bound every state. Outer bounds
+    (``limits_ahead``); a vehicle whose received state proves wrong what alone bounds a state has infinite
+    generators."""
+    ahead = limits_ahead(profile, x, horizon)
+    low, high = ahead.low, ahead.high
     bounded = np.isfinite(low) & np.isfinite(high)
     if len(x) and not bounded.all(axis=(1, 2)).any():
         return None
     low, high = (np.where(bounded, bound, x[:, None]) for bound in (low, high))
     center = (low + high) / 2
     half = np.where(bounded, (high - low) / 2 * (1 + OUTWARDS) + np.spacing(np.abs(center)), np.inf)
-    generators = np.zeros((*half.shape, len(states)))
-    generators[..., np.arange(len(states)), np.arange(len(states))] = half
+    n = x.shape[1]
+    generators = np.zeros((*half.shape, n))
+    generators[..., np.arange(n), np.arange(n)] = half
     return center, generators
 
 

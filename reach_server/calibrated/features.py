@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.calibrated.terms import Terms
+from reach_server.calibrated.terms import Samples, Terms
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.compiled import compiled
 from reach_server.windows import Ints
@@ -118,6 +118,21 @@ def targets(t: Ints, x: Array, number: int, terms: Terms, out: Array) -> None:
     """The N increments ``out`` (N n,) that follow a sample."""
     for h in range(terms.horizon):
         increment(t, x, (number + h) % len(t), terms, out, h * terms.n)
+
+
+@compiled
+def step_sizes(samples: Samples, slot: int, number: int, terms: Terms, change: Array, fastest: Array) -> None:
+    """Raise ``fastest`` (n,) to the magnitudes of the change that led to a sample, if it follows one and neither is a
+    glitch; of the positions of a pose the length of the way counts. ``change`` (n,) is room."""
+    t, x, gated = samples.t[slot], samples.x[slot], samples.gated[slot]
+    place, before = number % len(t), (number - 1) % len(t)
+    if number < 1 or samples.run[slot, place] < 1 or gated[place] or gated[before]:
+        return
+    increment(t, x, before, terms, change, 0)
+    if terms.heading >= 0:
+        change[terms.first] = change[terms.second] = math.hypot(change[terms.first], change[terms.second])
+    for i in range(terms.n):
+        fastest[i] = max(fastest[i], abs(change[i]))
 
 
 @compiled

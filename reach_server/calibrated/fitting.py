@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 
-from reach_server.calibrated.features import increment, recorded, targets, usable
+from reach_server.calibrated.features import increment, recorded, step_sizes, targets, usable
 from reach_server.calibrated.forecasts import error_in_frame, roll_out
 from reach_server.calibrated.ridge import BELIEVED, add, factor, first_columns, increments_of, solve, standardise
 from reach_server.calibrated.scores import Codes, encoded
 from reach_server.calibrated.store import Model, Record
 from reach_server.calibrated.terms import Samples, Terms
+from reach_server.seen import LEAST_UNIT, range_of
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.compiled import compiled
 from reach_server.windows import Ints
@@ -21,8 +22,9 @@ RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 #: The greatest ridge is taken whose out-of-fold errors exceed the least by no more than this part: it relies least on
 #: directions in which the data say little [BFOS84].
 AS_GOOD = 0.05
-#: Units of features are at least this part of 1 + |mean|: what does not vary would have none.
-LEAST_UNIT = 1e-6
+#: Units are renewed when the root mean square of a feature is more than this many of them: what did not vary when they
+#: were taken does now, and a ridge in the units of before would hardly hold its coefficient.
+OUTGROWN = 8.0
 #: Places of the ring that data leave unused, so that those that leave can still be computed.
 SPARE = 24
 
@@ -54,12 +56,13 @@ def count_usable(samples: Samples, count: Ints, slots: Ints, terms: Terms, out: 
 
 
 @compiled
-def carry_on(samples: Samples, count: Ints, slots: Ints, model: Model, terms: Terms) -> None:
+def carry_on(samples: Samples, count: Ints, slots: Ints, model: Model, terms: Terms, outgrown: Mask) -> None:
     """Let data enter and leave the sums of vehicles (B,), and solve anew. What leaves must still be in the window, with
-    all that its features look back to."""
+    all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the units of features."""
     lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
     z, y = np.empty(terms.total), np.empty(terms.horizon * terms.n)
-    for slot in slots:
+    for b in range(len(slots)):
+        slot = slots[b]
         t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
         run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
         mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
@@ -85,6 +88,10 @@ def carry_on(samples: Samples, count: Ints, slots: Ints, model: Model, terms: Te
             model.data[slot] += 1 if enters else -1
         model.newest[slot], model.oldest[slot] = max(end, last), max(begin, first)
         _solve(model, slot, begins, lower)
+        _ranges(samples, count[slot], slot, model, terms)
+        outgrown[b] = False
+        for j in range(terms.total):
+            outgrown[b] |= model.gram[slot, j, j] > OUTGROWN**2 * max(model.data[slot], 1)
 
 
 @compiled
@@ -108,6 +115,7 @@ def fit(samples: Samples, count: Ints, slots: Ints, fill: Mask, model: Model, re
     places = samples.t.shape[1]
     numbers = np.empty(places, dtype=np.int64)
     phi, targeted = np.empty((places, terms.total)), np.empty((places, terms.horizon * terms.n))
+    change = np.empty(terms.n)
     lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
     for b in range(len(slots)):
         slot = slots[b]
@@ -117,6 +125,9 @@ def fit(samples: Samples, count: Ints, slots: Ints, fill: Mask, model: Model, re
         for k in range(rows):
             recorded(t, x, u, numbers[k], terms, z[k])
             targets(t, x, numbers[k], terms, y[k])
+        record.fastest[slot] = 0.0
+        for number in range(max(1, count[slot] - places + 1), count[slot]):
+            step_sizes(samples, slot, number, terms, change, record.fastest[slot])
         mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
         _units_of(z, mean, scale, limit)
         model.gram[slot], model.cross[slot] = 0.0, 0.0
@@ -125,12 +136,30 @@ def fit(samples: Samples, count: Ints, slots: Ints, fill: Mask, model: Model, re
             add(z[k], y[k], 1.0, model.gram[slot], model.cross[slot])
         model.data[slot] = rows
         model.oldest[slot], model.newest[slot] = reach_back(count[slot], places, terms), count[slot] - terms.horizon
+        _ranges(samples, count[slot], slot, model, terms)
         if fill[b]:
             errors = _out_of_fold(x, numbers[:rows], z, y, model.gram[slot], model.cross[slot], terms)
             choice = _best(errors)
             model.ridge[slot] = RIDGES[choice]
             _complete(record.codes[slot], numbers[:rows], errors[choice], terms)
         _solve(model, slot, begins, lower)
+
+
+@compiled
+def _ranges(samples: Samples, count: int, slot: int, model: Model, terms: Terms) -> None:
+    """The ranges of the states and inputs of a vehicle, of what enters the model: samples that N others follow."""
+    x, u, gated = samples.x[slot], samples.u[slot], samples.gated[slot]
+    places = len(x)
+    used = np.zeros(places, dtype=np.bool_)
+    begin, end = max(0, count - places), count - terms.horizon
+    for number in range(begin, end):
+        used[number % places] = not gated[number % places]
+    for i in range(terms.n):
+        model.low[slot, i], model.high[slot, i] = range_of(x[:, i], used)
+    for number in range(begin, end):
+        used[number % places] = samples.known[slot, number % places]
+    for i in range(terms.m):
+        model.low[slot, terms.n + i], model.high[slot, terms.n + i] = range_of(u[:, i], used)
 
 
 @compiled

@@ -4,12 +4,23 @@ import math
 
 import numpy as np
 
-from reach_server.calibrated.features import ahead, clean, complete, present, range_regressors, size_regressors, turned
+from reach_server.calibrated.features import (
+    ahead,
+    clean,
+    complete,
+    present,
+    range_regressors,
+    size_regressors,
+    step_sizes,
+    turned,
+)
+from reach_server.calibrated.held import Bounds, bounds_of, hold, hold_center
 from reach_server.calibrated.ridge import first_columns, increments_of, standardise
-from reach_server.calibrated.scores import Codes, Scores, encoded, renew_margins, score_of, tube_score, write
+from reach_server.calibrated.scores import encoded, renew_margins, score_of, tube_score, write
 from reach_server.calibrated.sizing import LEAST_SIZE
 from reach_server.calibrated.store import Model, Record, Waiting
 from reach_server.calibrated.terms import Samples, Terms
+from reach_server.seen import ENOUGH, FAR, outside
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.compiled import compiled
 from reach_server.windows import Ints
@@ -79,11 +90,19 @@ def known_now(samples: Samples, count: Ints, slots: Ints, terms: Terms, out: Mas
 @compiled
 def forecast(
     samples: Samples, count: Ints, slots: Ints, plan: Array, model: Model, record: Record, waiting: Waiting,
-    terms: Terms, remember: bool, center: Array, half: Array, generators: Array,
+    terms: Terms, remember: bool, bounds: Bounds, owner: Ints, center: Array, half: Array, generators: Array,
+    unseen: Mask, held: Mask,
 ) -> None:  # fmt: skip
     """Boxes of vehicles (B,): ``center`` (B, N, n), ``half`` (B, N, n) along the frame of the newest sample, and
-    ``generators`` (B, N, n, n), zero before."""
+    ``generators`` (B, N, n, n), zero before, within ``bounds``.
+
+    ``unseen`` (B, n + m) becomes true of the states and inputs of which a feature lies where the window has too few
+    data; ``owner`` (total,) names the state (from 0) or input (from n) of each feature, -1 for none. ``held`` (B, 2):
+    whether a box was cut by stated bounds, and by observed ones.
+    """
     phi, z = np.empty(terms.total), np.empty(terms.total)
+    low, high = np.empty((terms.horizon, terms.n)), np.empty((terms.horizon, terms.n))
+    stated = np.empty(terms.n, dtype=np.bool_)
     d, psi, begin = np.empty(terms.horizon * terms.n), np.empty(terms.sizes), first_columns(terms)
     for b in range(len(slots)):
         slot = slots[b]
@@ -92,27 +111,66 @@ def forecast(
         present(samples.t[slot], x, samples.u[slot], number, terms, phi)
         if terms.planned:
             ahead(x, number, plan[b], terms, phi)
+        outside_data(phi, model, slot, owner, terms, unseen[b])
         standardise(phi, model.mean[slot], model.scale[slot], model.limit[slot], z)
         increments_of(z, model.matrix[slot], begin, d)
         roll_out(x[here], d, terms, center[b])
         sizes_at(phi, record.shape[slot], record.clip[slot], terms, psi, half[b])
         angle = x[here, terms.heading] if terms.heading >= 0 else 0.0
+        bounds_of(bounds, b, x[here], record.fastest[slot], terms, low, high, stated)
+        hold_center(x[here], angle, low, high, terms, center[b])
         if remember:
             row = number % terms.horizon
             waiting.number[slot, row] = number
             waiting.angle[slot, row] = angle
             waiting.center[slot, row] = center[b]
             waiting.size[slot, row] = half[b]
-        _enlarge(record.margin[slot], angle, terms, half[b], generators[b])
+        for h in range(terms.horizon):
+            for i in range(terms.n):
+                half[b, h, i] *= record.margin[slot, _group_of(i, terms), h]
+        hold(x[here], angle, low, high, stated, terms, center[b], half[b], held[b])
+        _turn(angle, terms, half[b], generators[b])
 
 
 @compiled
-def _enlarge(margin: Array, angle: float, terms: Terms, half: Array, generators: Array) -> None:
-    """Scale sizes ``half`` (N, n) by the margins, and turn the boxes to the world, ``generators`` (N, n, n)."""
+def _group_of(state: int, terms: Terms) -> int:
+    """The group that a state belongs to."""
+    return 0 if terms.groups == 1 or terms.planar >> state & 1 else 1
+
+
+@compiled
+def outside_data(phi: Array, model: Model, slot: int, owner: Ints, terms: Terms, unseen: Mask) -> None:
+    """Mark the states and inputs ``unseen`` (n + m,) of which what enters the model lies outside the data.
+
+    Of states and inputs themselves, lagged and later ones included, their ranges say so (``seen``). Rates and products,
+    which may have long tails, are outside if they are more than ``FAR`` units from the mean of the data and their
+    square is more than that of all data together allows for: as if fewer than ``ENOUGH`` of them lay that far out."""
+    mean, scale, gram, low, high = (
+        model.mean[slot],
+        model.scale[slot],
+        model.gram[slot],
+        model.low[slot],
+        model.high[slot],
+    )
+    for j in range(1, len(phi)):
+        of = owner[j]
+        z = abs(phi[j] - mean[j]) / scale[j]
+        # Written so that what is no number is unseen, too.
+        if not z <= FAR and not ENOUGH * z * z <= gram[j, j]:
+            unseen[of] = True
+        plain = j < terms.at_increments or terms.at_inputs <= j < terms.at_products
+        if j >= terms.base:
+            plain = (j - terms.base) % terms.later < terms.m
+        if plain and not terms.angles >> of & 1 and outside(phi[j], low[of], high[of]):
+            unseen[of] = True
+
+
+@compiled
+def _turn(angle: float, terms: Terms, half: Array, generators: Array) -> None:
+    """Turn boxes of half-widths ``half`` (N, n) to the world, ``generators`` (N, n, n)."""
     c, s = math.cos(angle), math.sin(angle)
     for h in range(terms.horizon):
         for i in range(terms.n):
-            half[h, i] *= margin[h]
             generators[h, i, i] = half[h, i]
         if terms.heading >= 0:
             first, second = terms.first, terms.second
@@ -135,26 +193,28 @@ def observe(
         slot = slots[b]
         gate[b] = -1
         if waiting.fitted[slot]:
-            codes, scores = record.codes[slot], record.scores[slot]
-            known, limits = record.known[slot], record.limits[slot]
             for number in range(max(waiting.seen[slot], count[slot] - places), count[slot]):
-                _forget(codes, scores, known, limits, number % places, confidence)
+                _forget(record, slot, number % places, confidence)
+                step_sizes(samples, slot, number, terms, error, record.fastest[slot])
                 if _reveals_glitch(samples, slot, number, record, waiting, terms, error):
                     gate[b] = (number - 1) % places
-                    _forget(codes, scores, known, limits, (number - 1) % places, confidence)
+                    _forget(record, slot, (number - 1) % places, confidence)
                     waiting.number[slot, (number - 1) % terms.horizon] = -1
                     waiting.glitches[slot] += 1
                 _take_in(samples, slot, number, record, waiting, terms, confidence, error)
-            renew_margins(limits, record.ratio[slot], record.margin[slot])
+            renew_margins(record.known[slot], record.limits[slot], record.ratio[slot], record.margin[slot], confidence)
         waiting.seen[slot] = count[slot]
 
 
 @compiled
-def _forget(codes: Codes, scores: Scores, known: Ints, limits: Array, place: int, confidence: float) -> None:
+def _forget(record: Record, slot: int, place: int, confidence: float) -> None:
     """Remove the errors that the sample at a place showed."""
-    for kind in range(scores.shape[1]):
-        write(scores, known, limits, place, kind, math.nan, confidence)
-    codes[place] = 0
+    _, groups, _, kinds = record.scores.shape
+    for g in range(groups):
+        scores, known, limits = record.scores[slot, g], record.known[slot, g], record.limits[slot, g]
+        for kind in range(kinds):
+            write(scores, known, limits, place, kind, math.nan, confidence, g, groups)
+    record.codes[slot, place] = 0
 
 
 @compiled
@@ -165,7 +225,7 @@ def _take_in(
     """Score the predictions of a sample."""
     x, gated = samples.x[slot], samples.gated[slot]
     place = number % len(x)
-    codes, scores, known, limits = record.codes[slot], record.scores[slot], record.known[slot], record.limits[slot]
+    codes, (_, groups, _, kinds) = record.codes[slot], record.scores.shape
     made, angle = waiting.number[slot], waiting.angle[slot]
     steps = 0 if gated[place] else min(terms.horizon, samples.run[slot, place])
     for h in range(steps):
@@ -176,9 +236,15 @@ def _take_in(
         error_in_frame(x, place, center, h, math.cos(angle[row]), math.sin(angle[row]), terms, error)
         for i in range(terms.n):
             codes[place, h, i] = encoded(abs(error[i]))
-        write(scores, known, limits, place, h, score_of(error, size[h]), confidence)
-    if scores.shape[1] > terms.horizon:
-        write(scores, known, limits, place, terms.horizon, tube_score(scores, record.ratio[slot], number), confidence)
+        for g in range(groups):
+            score = score_of(error, size[h], terms.planar, g, groups)
+            scores, known, limits = record.scores[slot, g], record.known[slot, g], record.limits[slot, g]
+            write(scores, known, limits, place, h, score, confidence, g, groups)
+    if kinds > terms.horizon:
+        for g in range(groups):
+            scores, known, limits = record.scores[slot, g], record.known[slot, g], record.limits[slot, g]
+            score = tube_score(scores, record.ratio[slot, g], number)
+            write(scores, known, limits, place, terms.horizon, score, confidence, g, groups)
 
 
 @compiled
@@ -200,7 +266,8 @@ def _reveals_glitch(
     before = last[far] if waiting.last_number[slot] == number - 1 else 0.0
     for i in range(terms.n):
         # The boxes of a vehicle that stands still may be points.
-        last[i] = error[i] / max(record.margin[slot, 0] * waiting.size[slot, row, 0, i], LEAST_SIZE)
+        margin = record.margin[slot, _group_of(i, terms), 0]
+        last[i] = error[i] / max(margin * waiting.size[slot, row, 0, i], LEAST_SIZE)
     found = abs(before) > GLITCH and abs(last[far]) > 1.0 and last[far] * before < 0.0
     waiting.last_number[slot] = -1 if found else number
     return bool(found)

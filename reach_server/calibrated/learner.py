@@ -27,9 +27,10 @@ from fleet_bus.errors import UsageError
 from fleet_bus.messages import VehicleProfile
 from reach_server.calibrated import fitting
 from reach_server.calibrated.forecasts import forecast, known_now, observe
+from reach_server.calibrated.held import Bounds
 from reach_server.calibrated.sizing import resize
 from reach_server.calibrated.store import empty, grown
-from reach_server.calibrated.terms import Samples, Terms
+from reach_server.calibrated.terms import Samples, Terms, owners
 from reach_server.factor_sets import FactorSet
 from reach_server.regression import Layout
 from reach_server.rows import with_room
@@ -53,12 +54,15 @@ class Boxes:
     will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
 
     ``center`` (B, N, n); ``half`` (B, N, n) half-widths in the frame of the newest sample; ``generators`` (B, N, n, n)
-    the same, turned to the world.
+    the same, turned to the world. ``unseen`` (B, n + m): states and inputs of which what enters the model lies outside
+    the data, so that nothing is known of the rate. ``held`` (B, 2): a box was cut by stated bounds, by observed ones.
     """
 
     center: Array
     half: Array
     generators: Array
+    unseen: Mask
+    held: Mask
 
     @property
     def horizon(self) -> int:
@@ -125,7 +129,10 @@ class Calibrated:
         self.least = max(least_scores(profile.confidence), DATA_PER_UNKNOWN * self._terms.total)
         self._room = window.size - self._terms.reach - horizon - fitting.SPARE
         self._check(profile)
-        self._model, self._record, self._waiting = empty(self._terms, window.size, tube=profile.margin == "tube")
+        self._owner = owners(profile, layout, self._terms)
+        self._model, self._record, self._waiting = empty(
+            self._terms, window.size, self._terms.groups, tube=profile.margin == "tube"
+        )
         self._revision = np.zeros(0, dtype=np.int64)
         self._stale = np.zeros(0, dtype=bool)
         self._solved = np.zeros(0, dtype=np.int64)
@@ -217,11 +224,13 @@ class Calibrated:
         count = self._window.count[slots]
         # What leaves the sums must still be there to be computed.
         lost = self._model.oldest[slots] < count - self._window.size + self._terms.reach
-        renewed = lost | (count >= self._renewal[slots]) | ~np.isfinite(self._record.margin[slots]).all(axis=1)
+        renewed = lost | (count >= self._renewal[slots]) | ~np.isfinite(self._record.margin[slots]).all(axis=(1, 2))
         if not renewed.all():
             carried = slots[~renewed]
-            fitting.carry_on(self._samples(), self._window.count, carried, self._model, self._terms)
+            outgrown = np.empty(len(carried), dtype=bool)
+            fitting.carry_on(self._samples(), self._window.count, carried, self._model, self._terms, outgrown)
             self._solved[carried] = self._on_grid(carried)
+            self._renewal[carried[outgrown]] = self._window.count[carried[outgrown]]
         if renewed.any():
             self._renew(slots[renewed])
 
@@ -232,7 +241,7 @@ class Calibrated:
         slots = slots[~poor]
         # The ridge is chosen anew until half of a full window has been seen at once, and the record filled up until
         # there are enough predictions that turned out.
-        few = self._record.known[slots].min(axis=1) < min(LEAST_BEYOND / (1 - self._confidence), self._room // 2)
+        few = self._record.known[slots].min(axis=(1, 2)) < min(LEAST_BEYOND / (1 - self._confidence), self._room // 2)
         self._fit(slots, few | (self._chosen_on[slots] < self._room // 2))
         self._renewal[slots] = self._window.count[slots] + self._period(slots)
 
@@ -285,7 +294,7 @@ class Calibrated:
 
     def ready(self, slots: Slots) -> Mask:
         """Which vehicles (B,) have a model, and scores enough for their margins."""
-        return np.asarray(self._waiting.fitted[slots] & np.isfinite(self._record.margin[slots]).all(axis=1))
+        return np.asarray(self._waiting.fitted[slots] & np.isfinite(self._record.margin[slots]).all(axis=(1, 2)))
 
     def known(self, slots: Slots) -> Mask:
         """Of which vehicles (B,) the newest sample has all that its features look back to."""
@@ -304,11 +313,16 @@ class Calibrated:
             missing[waiting] = np.maximum(samples_missing(self._window, slots, self._data(slots), self.least, links), 1)
         return missing
 
-    def predict(self, slots: Slots, plan: Array | None, remember: bool = True) -> Boxes:
+    def fastest(self, slots: Slots) -> Array:
+        """The greatest change (B, n) of each state from one sample to the next that the windows of vehicles show."""
+        return np.asarray(self._record.fastest[slots])
+
+    def predict(self, slots: Slots, plan: Array | None, remember: bool = True, bounds: Bounds | None = None) -> Boxes:
         """Sets of vehicles (B,) that are ``ready`` and ``known``, from their newest samples.
 
         ``plan`` (B, N - 1, m) are the later inputs, where they enter the model. What is remembered is scored when the
-        samples come. Raises ``UsageError`` where a plan is needed and none is given.
+        samples come. ``bounds`` are what the profile states of the states ahead. Raises ``UsageError`` where a plan is
+        needed and none is given.
         """
         terms = self._terms
         if terms.planned and plan is None:
@@ -316,12 +330,16 @@ class Calibrated:
         later = np.zeros((0, 0, terms.m)) if plan is None else np.ascontiguousarray(plan, dtype=np.float64)
         center, half = (np.empty((len(slots), terms.horizon, terms.n)) for _ in range(2))
         generators = np.zeros((len(slots), terms.horizon, terms.n, terms.n))
+        unseen = np.zeros((len(slots), terms.n + terms.m), dtype=bool)
+        held = np.zeros((len(slots), 2), dtype=bool)
+        if bounds is None:
+            bounds = Bounds.none(len(slots), terms.horizon, terms.n)
         samples, count = self._samples(), self._window.count
         forecast(
-            samples, count, slots, later, self._model, self._record, self._waiting, terms, remember, center, half,
-            generators,
+            samples, count, slots, later, self._model, self._record, self._waiting, terms, remember, bounds,
+            self._owner, center, half, generators, unseen, held,
         )  # fmt: skip
-        return Boxes(center, half, generators)
+        return Boxes(center, half, generators, unseen, held)
 
     def _samples(self) -> Samples:
         columns = self._window.columns()

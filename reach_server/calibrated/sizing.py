@@ -17,8 +17,10 @@ import numpy as np
 
 from reach_server.calibrated.features import clean, complete, recorded, size_regressors
 from reach_server.calibrated.scores import (
+    LEAST_RATIO,
     Scores,
     decoded,
+    encoded_score,
     kth_largest,
     rank_statistic,
     renew_margins,
@@ -37,6 +39,11 @@ CONSTANT_PART = 0.2
 CLIPPED = 0.99
 #: States that are no positions miss this part as often as these.
 OTHERS_MISS = 0.25
+#: A part of the errors counts as no smaller than this part of all of them: of a vehicle that stood still for most of
+#: the record, a state that a sensor says exactly would have no size in which to measure what came later.
+FOLD_PART = 0.1
+#: Least factor that balances states; it is about 1 or more unless nearly all errors are far below their mean.
+LEAST_BALANCE = 0.5
 #: Sizes below this are none.
 LEAST_SIZE = 1e-12
 #: Contiguous parts of the errors, each scored by sizes that were fitted to the others.
@@ -87,8 +94,8 @@ def resize(
     places, n = samples.t.shape[1], terms.n
     origin, row = np.empty(places, dtype=np.int64), np.empty(places, dtype=np.int64)
     phi, psi = np.empty((places, terms.total)), np.empty((places, terms.sizes))
-    magnitude, score = np.empty((places, n)), np.empty(places)
-    scored = np.empty((places, terms.horizon), dtype=np.float32)
+    magnitude, score = np.empty((places, n)), np.empty((places, terms.groups))
+    scored = np.empty((terms.groups, places, terms.horizon))
     for slot in slots:
         rows = _origins(samples, count[slot], slot, terms, origin, phi)
         scored[:] = np.nan
@@ -106,14 +113,18 @@ def resize(
                 record.clip[slot, h], record.shape[slot, h] = math.inf, LEAST_SIZE**2
                 continue
             _clip(psi[:known], record.clip[slot, h])
-            _fit_step(psi[:known], magnitude[:known], plane, confidence, record.shape[slot, h], score[:known])
+            _fit_step(
+                psi[:known], magnitude[:known], plane, terms.planar, confidence, record.shape[slot, h], score[:known]
+            )
             for k in range(known):
-                scored[(origin[row[k]] + h + 1) % places, h] = score[k]
-        _record(
-            scored, count[slot], record.scores[slot], record.known[slot], record.limits[slot], record.ratio[slot],
-            confidence,
-        )  # fmt: skip
-        renew_margins(record.limits[slot], record.ratio[slot], record.margin[slot])
+                for g in range(terms.groups):
+                    scored[g, (origin[row[k]] + h + 1) % places, h] = score[k, g]
+        for g in range(terms.groups):
+            _record(
+                scored[g], count[slot], record.scores[slot, g], record.known[slot, g], record.limits[slot, g],
+                record.ratio[slot, g], confidence, g, terms.groups,
+            )  # fmt: skip
+        renew_margins(record.known[slot], record.limits[slot], record.ratio[slot], record.margin[slot], confidence)
 
 
 @compiled
@@ -141,10 +152,18 @@ def _clip(psi: Array, clip: Array) -> None:
 
 
 @compiled
-def _fit_step(psi: Array, magnitude: Array, plane: Mask, confidence: float, shape: Array, score: Array) -> None:
+def _fit_step(
+    psi: Array, magnitude: Array, plane: Mask, planar: int, confidence: float, shape: Array, score: Array
+) -> None:
     """Coefficients ``shape`` (Q, n) of the squared sizes at one step from all its errors (rows, n), and the ``score``
-    (rows,) of each by the coefficients from the other folds."""
+    (rows, G) of each group by the coefficients from the other folds."""
     rows, sizes, n = len(psi), psi.shape[1], magnitude.shape[1]
+    least = np.empty(n)
+    for i in range(n):
+        total = 0.0
+        for k in range(rows):
+            total += magnitude[k, i]
+        least[i] = max(FOLD_PART * total / rows, LEAST_SIZE)
     gram, right, size = np.empty((sizes, sizes)), np.empty((n, sizes)), np.empty(n)
     # Once without each fold, at last with all.
     for fold in range(FOLDS + 1):
@@ -154,14 +173,15 @@ def _fit_step(psi: Array, magnitude: Array, plane: Mask, confidence: float, shap
         right[:] = 0.0
         _add(psi, magnitude, 0, begin, gram, right)
         _add(psi, magnitude, end, rows, gram, right)
-        _shape(psi, magnitude, begin, end, gram, right, plane, confidence, shape)
+        _shape(psi, magnitude, begin, end, gram, right, least, plane, confidence, shape)
         for k in range(begin, end):
             for i in range(n):
                 total = 0.0
                 for q in range(sizes):
                     total += psi[k, q] * shape[q, i]
                 size[i] = math.sqrt(total)
-            score[k] = score_of(magnitude[k], size)
+            for g in range(score.shape[1]):
+                score[k, g] = score_of(magnitude[k], size, planar, g, score.shape[1])
 
 
 @compiled
@@ -181,17 +201,17 @@ def _add(psi: Array, magnitude: Array, begin: int, end: int, gram: Array, right:
 
 @compiled
 def _shape(
-    psi: Array, magnitude: Array, begin: int, end: int, gram: Array, right: Array, plane: Mask, confidence: float,
-    shape: Array,
+    psi: Array, magnitude: Array, begin: int, end: int, gram: Array, right: Array, least: Array, plane: Mask,
+    confidence: float, shape: Array,
 ) -> None:  # fmt: skip
     """Coefficients ``shape`` (Q, n) from the rows outside ``begin`` to ``end``, whose sums are ``gram`` (Q, Q) and
-    ``right`` (n, Q)."""
+    ``right`` (n, Q); mean errors count as ``least`` (n,) at least."""
     rows, sizes = psi.shape
     kept = rows - (end - begin)
     lower, solution, ratio = np.zeros(sizes), np.empty(sizes), np.empty((kept, 1))
     for i in range(magnitude.shape[1]):
         # The first regressor is 1: its sums are the number of rows and the sum of errors.
-        mean = max(right[i, 0] / kept, LEAST_SIZE)
+        mean = max(right[i, 0] / kept, least[i])
         lower[0] = CONSTANT_PART * mean
         nonnegative(gram, right[i], lower, solution)
         for j in range(kept):
@@ -201,29 +221,30 @@ def _shape(
                 size += solution[q] * psi[k, q]
             ratio[j, 0] = magnitude[k, i] / math.sqrt(mean * size)
         missing = (1.0 - confidence) * (1.0 if plane[i] else OTHERS_MISS)
-        balance = max(_quantile(ratio, 0, 1.0 - missing), 1e-6)
+        balance = max(_quantile(ratio, 0, 1.0 - missing), LEAST_BALANCE)
         for q in range(sizes):
             shape[q, i] = balance**2 * mean * solution[q]
 
 
 @compiled
 def _record(
-    scored: Scores, count: int, scores: Scores, known: Ints, limits: Array, ratio: Array, confidence: float
-) -> None:
+    scored: Array, count: int, scores: Scores, known: Ints, limits: Array, ratio: Array, confidence: float,
+    group: int, groups: int,
+) -> None:  # fmt: skip
     """Put scores (S, N), NaN where not known, in the place of all others, with the limits that follow from them."""
     places, steps = scored.shape
     known[:] = 0
     for place in range(places):
         for h in range(steps):
-            scores[place, h] = scored[place, h]
+            scores[place, h] = encoded_score(scored[place, h])
             known[h] += int(not math.isnan(scored[place, h]))
     for h in range(steps):
-        limits[h] = rank_statistic(scores, known[h], h, confidence)
-        ratio[h] = limits[h] if limits[h] < math.inf else 1.0
+        limits[h] = rank_statistic(scores, known[h], h, confidence, group, groups)
+        ratio[h] = max(limits[h], LEAST_RATIO) if limits[h] < math.inf else 1.0
     if len(limits) > steps:
-        scores[:, steps] = np.nan
+        scores[:, steps] = 0
         for number in range(max(steps, count - places + steps), count):
             score = tube_score(scores, ratio, number)
-            scores[number % places, steps] = score
+            scores[number % places, steps] = encoded_score(score)
             known[steps] += int(not math.isnan(score))
-        limits[steps] = rank_statistic(scores, int(known[steps]), steps, confidence)
+        limits[steps] = rank_statistic(scores, int(known[steps]), steps, confidence, group, groups)

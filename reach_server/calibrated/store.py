@@ -16,7 +16,7 @@ class Model(NamedTuple):
 
     ``mean``, ``scale``, ``limit`` (V, F) standardise the features; ``gram`` (V, F, F) lower triangle and ``cross``
     (V, F, C) are sums over the data numbered from ``oldest`` to before ``newest`` (V,), ``data`` (V,) in number;
-    ``ridge`` (V,); ``matrix`` (V, F, C).
+    ``ridge`` (V,); ``matrix`` (V, F, C). ``low`` and ``high`` (V, n + m): the ranges of states and inputs (``seen``).
     """
 
     mean: Array
@@ -29,25 +29,31 @@ class Model(NamedTuple):
     oldest: Ints
     newest: Ints
     ridge: Array
+    low: Array
+    high: Array
 
 
 class Record(NamedTuple):
     """Errors of the predictions of V vehicles, by the place of the sample that showed them, S places.
 
-    ``codes`` (V, S, N, n) their magnitudes (``scores.encoded``, 0 where not known); ``scores`` (V, S, K), NaN where not
-    known, K = N, or N + 1 with those of whole tubes last; ``known`` (V, K) their numbers, ``limits`` (V, K) their rank
-    statistics. Sizes: a = sqrt(B ψ) with B = ``shape`` (V, N, Q, n) and ψ at most ``clip`` (V, N, Q); ``margin`` (V, N)
-    scales the sizes, ``ratio`` (V, N) those of whole tubes.
+    ``codes`` (V, S, N, n) their magnitudes (``scores.encoded``, 0 where not known). The positions and the other states
+    are G groups (one, where there are positions only), each with ``scores`` (V, G, S, K), ``encoded_score``, K = N,
+    or N + 1 with those of whole tubes last; ``known`` (V, G, K) their numbers, ``limits`` (V, G, K) their rank
+    statistics.
+    Sizes: a = sqrt(B ψ) with B = ``shape`` (V, N, Q, n) and ψ at most ``clip`` (V, N, Q); ``margin`` (V, G, N) scales
+    the sizes, ``ratio`` (V, G, N) those of whole tubes. ``fastest`` (V, n): the greatest change of each state from one
+    sample to the next that the window shows (of positions, the length of the way), in units of the state.
     """
 
     codes: NDArray[np.uint16]
-    scores: NDArray[np.float32]
+    scores: NDArray[np.uint16]
     known: Ints
     limits: Array
     shape: Array
     clip: Array
     margin: Array
     ratio: Array
+    fastest: Array
 
 
 class Waiting(NamedTuple):
@@ -69,8 +75,8 @@ class Waiting(NamedTuple):
     fitted: Mask
 
 
-def empty(terms: Terms, places: int, *, tube: bool) -> tuple[Model, Record, Waiting]:
-    """Arrays for no vehicle yet, with a ring of ``places``."""
+def empty(terms: Terms, places: int, groups: int, *, tube: bool) -> tuple[Model, Record, Waiting]:
+    """Arrays for no vehicle yet, with a ring of ``places`` and so many groups of states."""
     f, n, steps, columns = terms.total, terms.n, terms.horizon, terms.horizon * terms.n
     kinds = steps + int(tube)
 
@@ -82,12 +88,14 @@ def empty(terms: Terms, places: int, *, tube: bool) -> tuple[Model, Record, Wait
 
     model = Model(
         mean=real(f), scale=real(f), limit=real(f), gram=real(f, f), cross=real(f, columns), matrix=real(f, columns),
-        data=whole(), oldest=whole(), newest=whole(), ridge=real(),
+        data=whole(), oldest=whole(), newest=whole(), ridge=real(), low=real(n + terms.m), high=real(n + terms.m),
     )  # fmt: skip
     record = Record(
-        codes=np.zeros((0, places, steps, n), dtype=np.uint16), scores=np.zeros((0, places, kinds), dtype=np.float32),
-        known=whole(kinds), limits=real(kinds), shape=real(steps, terms.sizes, n), clip=real(steps, terms.sizes),
-        margin=real(steps), ratio=real(steps),
+        codes=np.zeros((0, places, steps, n), dtype=np.uint16),
+        scores=np.zeros((0, groups, places, kinds), dtype=np.uint16),
+        known=whole(groups, kinds), limits=real(groups, kinds),
+        shape=real(steps, terms.sizes, n), clip=real(steps, terms.sizes),
+        margin=real(groups, steps), ratio=real(groups, steps), fastest=real(n),
     )  # fmt: skip
     waiting = Waiting(
         number=whole(steps), center=real(steps, steps, n), size=real(steps, steps, n), angle=real(steps),

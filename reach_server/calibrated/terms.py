@@ -31,7 +31,8 @@ class Terms(NamedTuple):
     wrap, as bits: compiled functions hand plain numbers on faster than arrays. ``base`` columns are known at sample k,
     ``later`` more for each step of known inputs; ``total`` in all. ``at_increments``, ``at_inputs``, ``at_products``
     are columns where parts begin; ``sizes`` the number of regressors ψ of the size of errors. ``interval`` is the
-    sample time in ns.
+    sample time in ns. ``planar`` are the states that are positions, as bits, ``groups`` the number of groups that have
+    margins of their own: positions, and other states if there are any.
     """
 
     n: int
@@ -56,6 +57,8 @@ class Terms(NamedTuple):
     at_products: int
     sizes: int
     interval: int
+    planar: int
+    groups: int
 
     @classmethod
     def of(cls, profile: VehicleProfile, layout: Layout, horizon: int, *, planned: bool) -> "Terms":
@@ -79,7 +82,28 @@ class Terms(NamedTuple):
             n, m, horizon, lags, increments, max(lags, increments), first, second, heading, speed, steering,
             sum(1 << i for i in layout.free), sum(1 << i for i in layout.angles), planned, base, later,
             base + later * (horizon - 1), at_increments, at_inputs, at_products, sizes, profile.sample_time_ns,
+            sum(1 << i for i in set(profile.position)), 2 if n > len(set(profile.position)) else 1,
         )  # fmt: skip
+
+
+def owners(profile: VehicleProfile, layout: Layout, terms: Terms) -> Ints:
+    """The state (from 0) or input (from n) that each feature (total,) tells of, -1 for the constant. Products belong to
+    the steering, and those of the speed and the yaw rate to the heading or, where that has no part, to the speed."""
+    n, m = terms.n, terms.m
+    found = [-1]
+    for i in layout.free:
+        found += [i] * (1 + (i in layout.angles))
+    found += list(range(n)) * terms.increments
+    found += list(range(n, n + m)) * (terms.lags + 1)
+    if terms.speed >= 0:
+        if terms.heading >= 0:
+            found += [terms.heading, terms.speed, terms.heading, terms.heading]
+        if terms.steering >= 0:
+            found += [n + terms.steering] * (terms.lags + 1)
+    later = [*range(n, n + m), *([n + terms.steering] if terms.steering >= 0 else [])]
+    if terms.planned:
+        found += later * (terms.horizon - 1)
+    return np.array(found, dtype=np.int64)
 
 
 class Samples(NamedTuple):

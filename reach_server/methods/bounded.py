@@ -9,11 +9,13 @@ from reach_server.cuts import CutMethod
 from reach_server.factor_sets import FactorSet, replace_rows
 from reach_server.inputs import future_inputs, limits
 from reach_server.learning import ResidualModels
-from reach_server.methods.method import Reason, Slots
+from reach_server.limits import limits_ahead, states_limits
+from reach_server.methods.method import Outlook, Reason, Slots
 from reach_server.model import NoiseBounds
 from reach_server.plans import StraightPlan
 from reach_server.recursion import InputSets, Recursion
 from reach_server.regression import Layout, lagged_inputs, unwrapped, wrap
+from reach_server.seen import Seen
 from reach_server.served import KnownInputs, Served
 from reach_server.sets import strips
 from reach_server.sets.kernels import MISSED
@@ -33,6 +35,7 @@ class RecursionForecast:
     motion: Recursion
     plane: tuple[int, int]
     cuts: CutMethod
+    outlook: Outlook
 
     def ahead(self) -> None:
         """Each set follows from the one before."""
@@ -79,7 +82,9 @@ class Bounded:
         inputs = input_sets(self._profile, self._layout, self._horizon, served)
         models = self._models.models(served.slots, inputs)
         motion = Recursion(inputs, models, self.bounds.process, self._layout, self._membership)
-        return RecursionForecast(start, motion, self._profile.position, self._profile.cuts)
+        seen = self._models.seen(served.slots)
+        outlook = outlook_of(self._profile, self._layout, self._horizon, served, start, seen)
+        return RecursionForecast(start, motion, self._profile.position, self._profile.cuts, outlook)
 
 
 def lags_missing(block: Block, layout: Layout) -> Reason:
@@ -106,6 +111,29 @@ def input_sets(profile: VehicleProfile, layout: Layout, horizon: int, served: Se
         profile, u[:, 1:], u[:, 0], served.block.input_known[:, -1], horizon,
         None if known is None else known.plan, None if known is None else known.tolerance,
     )  # fmt: skip
+
+
+def outlook_of(
+    profile: VehicleProfile, layout: Layout, horizon: int, served: Served, start: FactorSet, seen: Seen
+) -> Outlook:
+    """What limits the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
+    data (``seen``), and what the profile states of true
+    states."""
+    block = served.block
+    z = np.concatenate([start.center[:, layout.free], lagged_inputs(block, layout)[:, -1]], axis=1)
+    far = seen.outside(z)
+    # An input of now that is not known may be anything within its limits.
+    first, m = len(layout.free), layout.m
+    far[:, first : first + m] &= block.input_known[:, -1:]
+    unseen = np.zeros((len(z), layout.n + m), dtype=bool)
+    for column in range(z.shape[1]):
+        of = layout.free[column] if column < first else layout.n + (column - first) % m
+        unseen[:, of] |= far[:, column]
+    held = np.zeros((len(z), 2), dtype=bool)
+    if not states_limits(profile):
+        return Outlook(unseen, held)
+    ahead = limits_ahead(profile, block.x[:, -1], horizon)
+    return Outlook(unseen, held, ahead.low, ahead.high)
 
 
 def received(served: Served, layout: Layout, bounds: NoiseBounds, newest: Floats) -> FactorSet:

@@ -6,13 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
+from reach_server.calibrated.held import Bounds
 from reach_server.calibrated.learner import Boxes, Calibrated
 from reach_server.factor_sets import FactorSet
-from reach_server.methods.method import Reason, Slots
+from reach_server.limits import limits_ahead, states_limits
+from reach_server.methods.method import Outlook, Reason, Slots
 from reach_server.model import NoiseBounds
 from reach_server.plans import StraightPlan
 from reach_server.regression import Layout
 from reach_server.rows import with_room
+from reach_server.seen import MARGIN
 from reach_server.served import KnownInputs, Served
 from reach_server.straight import StraightTubes, box_tubes
 from reach_server.windows import Block, Floats, Window
@@ -26,6 +29,7 @@ class BoxForecast:
     motion: Boxes
     plane: tuple[int, int]
     frobenius: bool
+    outlook: Outlook
 
     def ahead(self) -> tuple[Floats, Floats]:
         """See ``Forecast``."""
@@ -52,6 +56,8 @@ class Conformal:
         self._profile = profile
         self._planned = planned
         self._window = window
+        self._horizon = horizon
+        self._limited = states_limits(profile)
         layout = Layout.of(profile)
         self.bounds = NoiseBounds.of(profile, layout)
         self._models = Calibrated(profile, layout, window, horizon, planned=planned)
@@ -111,7 +117,21 @@ class Conformal:
     def forecast(self, served: Served) -> BoxForecast:
         """See ``Method``."""
         plan = served.known.plan if served.known is not None and self._planned else None
-        boxes = self._models.predict(served.slots, plan)
         x = served.block.x[:, -1]
+        bounds = self._bounds(served.slots, x) if self._limited else None
+        boxes = self._models.predict(served.slots, plan, bounds=bounds)
         start = FactorSet.zonotope(x, np.zeros((*x.shape, 0)))
-        return BoxForecast(start, boxes, self._profile.position, self._profile.cuts == "frobenius")
+        outlook = Outlook(boxes.unseen, boxes.held)
+        if bounds is not None:
+            slack = MARGIN * self._models.fastest(served.slots)[:, None] if bounds.noisy else 0.0
+            outlook = Outlook(boxes.unseen, boxes.held, bounds.low - slack, bounds.high + slack)
+        return BoxForecast(start, boxes, self._profile.position, self._profile.cuts == "frobenius", outlook)
+
+    def _bounds(self, slots: Slots, x: Floats) -> Bounds:
+        """Stated bounds of the measured states ahead: those of the true ones, widened by the stated noise once more."""
+        ahead = limits_ahead(self._profile, x, self._horizon)
+        apart = 2.0 * float(np.hypot(*ahead.error[list(self._profile.position)]))
+        return Bounds(
+            ahead.low - ahead.error, ahead.high + ahead.error, ahead.way + apart,
+            self._profile.noise.measurement is None,
+        )  # fmt: skip

@@ -10,12 +10,13 @@ from fleet_bus.errors import UsageError
 from fleet_bus.messages import VehicleProfile
 from reach_server import lti
 from reach_server.factor_sets import FactorSet
-from reach_server.methods.bounded import input_sets, inputs_unlimited, lags_missing, received
-from reach_server.methods.method import Reason, Slots
+from reach_server.methods.bounded import input_sets, inputs_unlimited, lags_missing, outlook_of, received
+from reach_server.methods.method import Outlook, Reason, Slots
 from reach_server.model import NoiseBounds
 from reach_server.plans import StraightPlan
 from reach_server.regression import Layout, transitions
 from reach_server.rows import scatter, take, with_room
+from reach_server.seen import Seen
 from reach_server.served import KnownInputs, Served
 from reach_server.shortage import samples_missing
 from reach_server.straight import StraightTubes
@@ -33,6 +34,7 @@ class LinearForecast:
 
     start: FactorSet
     motion: lti.LinearMotion
+    outlook: Outlook
 
     def ahead(self) -> None:
         """Each set follows from the one before."""
@@ -60,6 +62,7 @@ class Linear:
         self.samples_needed = self._layout.lags + 1
         self.lipschitz = profile.lipschitz
         self._store: Any = None
+        self._seen: Any = None
         self._fitted_at = np.zeros(0, dtype=np.int64)
         self._data = np.zeros(0, dtype=np.int64)
 
@@ -91,6 +94,7 @@ class Linear:
         if enough.any():
             models = lti.fit(take(data, enough), self._layout, self.bounds, self.lipschitz)
             self._store = scatter(self._store, due[enough], models)
+            self._seen = scatter(self._seen, due[enough], Seen.of(take(data, enough)))
             self._fitted_at[due[enough]] = self._window.count[due[enough]]
 
     def missing(self, slots: Slots) -> NDArray[np.int64]:
@@ -123,4 +127,6 @@ class Linear:
         models = take(self._store, served.slots)
         start = received(served, self._layout, self.bounds, models.newest)
         inputs = input_sets(self._profile, self._layout, self._horizon, served)
-        return LinearForecast(start, lti.LinearMotion(inputs, models, self.bounds.process, self._layout))
+        seen: Seen = take(self._seen, served.slots)
+        outlook = outlook_of(self._profile, self._layout, self._horizon, served, start, seen)
+        return LinearForecast(start, lti.LinearMotion(inputs, models, self.bounds.process, self._layout), outlook)

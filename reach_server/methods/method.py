@@ -1,5 +1,6 @@
 """What the engine wants of a way to compute sets from data."""
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,8 +20,27 @@ Slots = NDArray[np.intp]
 Reason = tuple[NDArray[np.bool_], str]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What limits the sets of B vehicles beside their models.
+
+    ``unseen`` (B, n + m): states and inputs of which what enters the model lies outside the data. ``low`` and ``high``
+    (B, N, n): stated bounds of what the sets speak about, at steps 1 to N, infinite where there are none; None where
+    the profile states none. ``held`` (B, 2): sets were cut already by stated bounds, by observed ones.
+    """
+
+    unseen: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    low: Floats | None = None
+    high: Floats | None = None
+
+
 class Forecast(Protocol):
     """How the sets of B served vehicles go on."""
+
+    @property
+    def outlook(self) -> Outlook:
+        """What limits the sets."""
 
     @property
     def start(self) -> FactorSet:
