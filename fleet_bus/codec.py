@@ -32,6 +32,8 @@ REASONS: Final[Mapping[str, str]] = {
     "no_profile": "a state of a vehicle whose profile has not come",
     "profile": "a state that contradicts the profile of its vehicle",
     "overflow": "more arrived than could be kept until it was processed",
+    "other_source": "another session writes to this key",
+    "old_version": "a document of a version that is not above the one in force",
 }
 
 

@@ -16,6 +16,7 @@ ALL_ASSIGNMENTS: Final = "spec/*/assignment/*"
 ALL_TUBES: Final = "reach/*/tube"
 ALL_EVENTS: Final = "reach/*/event"
 ALL_STATUS: Final = "svc/*/*/status"
+ALL_SERVICE_EVENTS: Final = "svc/*/*/event"
 
 
 def check_id(text: str, what: str = "vehicle") -> str:
@@ -80,6 +81,11 @@ def service(kind: str, instance: str) -> str:
 def service_status(kind: str, instance: str) -> str:
     """Key of the status of a service instance."""
     return f"{service(kind, instance)}/status"
+
+
+def service_event(kind: str, instance: str) -> str:
+    """Key of the events about a service instance itself."""
+    return f"{service(kind, instance)}/event"
 
 
 def vehicle_of(key: str) -> str:

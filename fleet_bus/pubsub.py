@@ -31,6 +31,10 @@ class Received:
     encoding: str
     timestamp_ns: int | None
     """When it was put, by the publisher's hybrid logical clock, in Unix nanoseconds; for latencies only."""
+    source: str = ""
+    """Id of the session that put it, as its publisher says, else of whoever stamped it; empty where nobody did."""
+    arrived_ns: int = 0
+    """When it came here, by this machine's clock, in Unix nanoseconds."""
 
 
 class _Handle(Protocol):
@@ -186,12 +190,18 @@ def watch_alive(session: zenoh.Session, key_expression: str, callback: Callable[
 
 
 def _received(sample: zenoh.Sample) -> Received:
-    timestamp = sample.timestamp
+    timestamp, info = sample.timestamp, sample.source_info
+    if info is not None:
+        source = str(info.source_id.zid)
+    else:
+        source = "" if timestamp is None else str(timestamp.get_id())
     return Received(
         str(sample.key_expr),
         sample.payload.to_bytes(),
         str(sample.encoding),
         None if timestamp is None else timestamp.get_time_as_ntp64().as_nanos(),
+        source,
+        time.time_ns(),
     )
 
 

@@ -95,9 +95,13 @@ def calibrate(
     loaded = [load_recording(path) for path in recordings]
     methods = tuple(dict.fromkeys(method or ["calibrated", "set_membership"]))
     request = calibration.Request(loaded, given, recordings[0].stem, methods, train_runs, run_seconds)
-    with reports.progress() as tell:
-        found = calibration.calibrate(request, tell)
     names = [path.name for path in recordings]
+    try:
+        with reports.progress() as tell:
+            found = calibration.calibrate(request, tell)
+    except calibration.CalibrationError as error:
+        left = _leave_draft(calibration.draft_as_yaml(error, names), output, json_file)
+        raise UsageError(f"{error}; {left}") from None
     text = calibration.as_yaml(found, names)
     quiet = str(json_file) == "-"
     if not quiet:
@@ -116,3 +120,17 @@ def calibrate(
         reporting.write_report(found, names, document, report)
         if not quiet:
             print(f"report: {report / 'report.md'}")
+
+
+def _leave_draft(text: str, output: Path | None, json_file: Path | None) -> str:
+    """Write what is known of a profile, and say where: into the file asked for, beside it where there is one already,
+    to stdout where none is asked for."""
+    again = "correct it, and calibrate again with --profile"
+    if output is None:
+        if str(json_file) == "-":
+            return "-o FILE keeps a draft of the profile"
+        print(text, end="")
+        return f"above is a draft of the profile: {again}"
+    place = output.with_name(f"{output.stem}.draft{output.suffix}") if output.exists() else output
+    write_text("-o", place, text)
+    return f"a draft of the profile is in {place}: {again} {place}"

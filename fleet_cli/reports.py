@@ -1,5 +1,6 @@
 """What the command prints: progress, tables, summaries."""
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,10 +18,14 @@ from fleet_cli.evaluation.figures import ROLLING
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar per name on stderr; call what comes back with name, done and total."""
+    """A progress bar per name on stderr, plain lines where that is no terminal; call what comes back with name, done
+    and total."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
     console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bars:
+    if not console.is_terminal:
+        yield _Lines()
+        return
+    with Progress(*columns, TimeRemainingColumn(), console=console) as bars:
         tasks: dict[str, TaskID] = {}
 
         def tell(name: str, done: int, total: int) -> None:
@@ -29,6 +34,19 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[name], completed=done, total=total)
 
         yield tell
+
+
+class _Lines:
+    """Progress as lines on stderr: a name when it begins, at each quarter, and when it is done."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, int] = {}
+
+    def __call__(self, name: str, done: int, total: int) -> None:
+        quarter = 4 * done // total if total else 4
+        if quarter > self._told.get(name, -1):
+            self._told[name] = quarter
+            print(f"{name}: {25 * quarter} %", file=sys.stderr, flush=True)
 
 
 def print_evaluation(figures: Mapping[str, MethodFigures], profile: VehicleProfile, names: Sequence[str]) -> None:

@@ -112,8 +112,22 @@ class Assignments:
     def unassign(self, slot: int, scenario: str) -> None:
         """Let a scenario no longer cut a vehicle."""
         course = self._courses.get(scenario)
-        if course is not None and slot < len(course.assigned):
-            course.assigned[slot] = False
+        if course is not None:
+            course.drop(slot)
+            self._drop_idle()
+
+    def drop(self, slot: int) -> None:
+        """Forget a vehicle: it takes part in nothing, and nothing is known of its trajectory."""
+        for course in self._courses.values():
+            course.drop(slot)
+        self._drop_idle()
+        if slot < len(self._began):
+            self._began[slot] = 0
+        self._began_as.pop(slot, None)
+
+    def _drop_idle(self) -> None:
+        """Forget the scenarios that no vehicle takes part in."""
+        self._courses = {name: course for name, course in self._courses.items() if course.assigned.any()}
 
     def began(self, slots: Slots, t: Ints, order: Sequence[tuple[int, int]]) -> None:
         """Trajectories begin (B,): a scenario that begins with the vehicle says nothing about a later trajectory."""

@@ -97,6 +97,12 @@ class Course:
         self._seen[slot] = np.iinfo(np.int64).min
         return True
 
+    def drop(self, slot: int) -> None:
+        """Forget a vehicle."""
+        if slot < len(self.assigned):
+            self.assigned[slot] = self.contradicted[slot] = self._started[slot] = self.tested[slot] = False
+            self._again.discard(slot)
+
     def asks(self, slot: int) -> bool:
         """Whether the scenario asks anything of a vehicle from its newest sample on."""
         if slot >= len(self.assigned) or not (self.assigned[slot] and self._started[slot]):

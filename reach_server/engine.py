@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import Audit, EventKind, StateFlag, VehicleProfile
+from fleet_bus.messages.methods import FROM_LIMITS
 from reach_server.assignments import Assignments, Instants
 from reach_server.branching import branching
 from reach_server.factor_sets import FactorSet
@@ -70,6 +71,8 @@ class Engine:
         #: Vehicles of which the data has excluded the stated bounds at some time.
         self._excluded: set[int] = set()
         self._names: list[str] = []
+        #: Slots of vehicles that were removed.
+        self._free: list[int] = []
         self._assignments = self._new_assignments()
         self._plans = self._new_plans()
         self._labels = Labels(profile, self.method, self._method.lipschitz, self._method.notes)
@@ -88,7 +91,7 @@ class Engine:
 
     @property
     def vehicles(self) -> tuple[str, ...]:
-        """Ids of the vehicles, by slot."""
+        """Ids of the vehicles, by slot; empty for a slot whose vehicle was removed."""
         return tuple(self._names)
 
     @property
@@ -110,13 +113,30 @@ class Engine:
     def add(self, vehicle: str) -> int:
         """Slot of a vehicle, made if it is new."""
         slot = self._slots.get(vehicle)
-        if slot is None:
+        if slot is None and self._free:
+            slot = self._slots[vehicle] = self._free.pop()
+            self._names[slot] = vehicle
+        elif slot is None:
             slot = self._slots[vehicle] = len(self._names)
             self._names.append(vehicle)
             self.window.grow(slot + 1)
             self._method.grow(slot + 1)
             self._record.grow(slot + 1)
         return slot
+
+    def remove(self, vehicle: str) -> None:
+        """Forget a vehicle altogether; its slot goes to the next new one. Raises ``KeyError`` for one that was never
+        added."""
+        self.reset(vehicle)
+        slot = self._slots.pop(vehicle)
+        self._assignments.drop(slot)
+        self._names[slot] = ""
+        self._free.append(slot)
+
+    @property
+    def count(self) -> int:
+        """Number of vehicles."""
+        return len(self._slots)
 
     def reset(self, vehicle: str) -> None:
         """Forget samples, model and record of a vehicle; its slot and its scenarios stay. Raises ``KeyError`` for one
@@ -149,8 +169,8 @@ class Engine:
         return self._record.audit(self._slots[vehicle])
 
     def window_filled(self) -> NDArray[np.int64]:
-        """Samples held (V,), by slot."""
-        return self.window.filled(np.arange(len(self._names)))
+        """Samples held (V,) of the vehicles, by slot."""
+        return self.window.filled(np.array(sorted(self._slots.values()), dtype=np.intp))
 
     def append(self, batch: SampleBatch) -> tuple[Appended, tuple[EngineEvent, ...]]:
         """Store samples without computing tubes; checks the predictions that waited for them."""
@@ -346,7 +366,7 @@ class Engine:
         return Tubes(
             tuple(names), limited.epoch, limited.seq, limited.t, self._times(limited), reach.steps, reach.free,
             reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of_limits(len(names)), ("limits",) * len(names), ((),) * len(names), notes,
+            self._labels.of_limits(len(names)), (FROM_LIMITS,) * len(names), ((),) * len(names), notes,
             self._verdicts(instants, reach.steps, true_sets=True), (), {},
         )  # fmt: skip
 

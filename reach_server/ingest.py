@@ -1,9 +1,13 @@
 """From bytes to samples by vehicle: decoding, refusing, and keeping samples until their profile has come."""
 
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import dataclass
+from itertools import repeat
 from threading import Lock
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fleet_bus import keys
 from fleet_bus.errors import KeyIdError, MessageError
@@ -17,10 +21,21 @@ MAX_WAITING: Final = 4_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleBatch:
-    """Samples of equal layout; ``vehicles`` names the vehicle of each row."""
+    """Samples of equal layout; ``vehicles`` names the vehicle of each row, ``sessions`` the session that sent it, and
+    ``arrived_ns`` (B,) when it came (Unix ns), where that is known."""
 
     vehicles: tuple[str, ...]
     states: StateBatch
+    sessions: tuple[str, ...] | None = None
+    arrived_ns: NDArray[np.int64] | None = None
+
+    def by_writer(self) -> dict[tuple[str, str, int], list[int]]:
+        """Rows by (vehicle, session, epoch), in the order in which these came."""
+        found: defaultdict[tuple[str, str, int], list[int]] = defaultdict(list)
+        sessions = self.sessions or repeat("")
+        for row, writer in enumerate(zip(self.vehicles, sessions, self.states.epoch.tolist(), strict=False)):
+            found[writer].append(row)
+        return found
 
 
 class Ingest:
@@ -58,4 +73,10 @@ class Ingest:
         batches, refused = decode_states([r.payload for r in accepted], [r.encoding for r in accepted])
         for index, error in refused:
             self._rejections.count(error, accepted[index].key)
-        return [VehicleBatch(tuple(vehicles[i] for i in batch.index.tolist()), batch) for batch in batches]
+        found: list[VehicleBatch] = []
+        for batch in batches:
+            index = batch.index.tolist()
+            arrived = np.array([accepted[i].arrived_ns for i in index], dtype=np.int64)
+            names = tuple(vehicles[i] for i in index)
+            found.append(VehicleBatch(names, batch, tuple(accepted[i].source for i in index), arrived))
+        return found

@@ -110,7 +110,9 @@ class ResidualModels:
 
     def reset(self, slot: int) -> None:
         """Forget the data and the model of one vehicle."""
-        memory.forget(self._memory, slot, 0)
+        # What is not data either: about which center moments are taken, and the largest regressors.
+        for array in self._memory:
+            array[slot] = 0
         self._reservoir.clear(slot)
         self._store.fitted[slot] = False
 

@@ -1,7 +1,7 @@
 """What one step of the engine returns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,17 @@ class Tubes:
     verdicts: tuple[Mapping[str, str], ...]
     events: tuple[EngineEvent, ...]
     waiting: dict[str, str]
+
+    def noted(self, notes: Mapping[str, str], *, contradicted: bool = False) -> "Tubes":
+        """The same tubes with one more note to each of the vehicles in ``notes``; their labels ``contradicted`` too."""
+        if notes.keys().isdisjoint(self.vehicles):
+            return self
+        every = [(*own, notes[v]) if v in notes else own for v, own in zip(self.vehicles, self.notes, strict=True)]
+        labels = [
+            Label.CONTRADICTED if contradicted and v in notes else label
+            for v, label in zip(self.vehicles, self.labels, strict=True)
+        ]
+        return replace(self, notes=tuple(every), labels=tuple(labels))
 
     @staticmethod
     def together(parts: Sequence["Tubes"]) -> "Tubes":

@@ -5,6 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import islice
 from typing import Final
@@ -36,7 +37,10 @@ from fleet_bus.rejections import Rejections
 from fleet_bus.sessions import DEFAULT_ROUTER, Role, open_session
 from reach_server import publish
 from reach_server.fleet import Fleet
-from reach_server.ingest import Ingest
+from reach_server.ingest import Ingest, VehicleBatch
+from reach_server.load import Load
+from reach_server.other_servers import OtherServers
+from reach_server.presence import Presence
 from reach_server.results import EngineEvent
 
 _log = structlog.get_logger(__name__)
@@ -45,9 +49,11 @@ _log = structlog.get_logger(__name__)
 HISTORY: Final = 100_000
 TICK_SECONDS: Final = 0.02
 STATUS_SECONDS: Final = 1.0
-#: A vehicle whose first samples are still missing after this long gets one query of its cache.
+#: A vehicle whose first samples, or whose profile, are still missing after this long gets one query of its cache.
 GRACE_SECONDS: Final = 0.2
 QUERY_SECONDS: Final = 2.0
+#: Caches that are asked at once.
+QUERIES: Final = 16
 EVENT_CACHE: Final = 32
 
 
@@ -78,8 +84,12 @@ class ReachServer:
         self._repeated = 0
         self._latencies: deque[float] = deque(maxlen=10_000)
         self._compute: deque[float] = deque(maxlen=1000)
+        #: Epochs whose cache was asked for samples, and vehicles whose cache was asked for the profile.
         self._asked: dict[str, int] = {}
+        self._asked_profile: set[str] = set()
         self._seen: dict[str, float] = {}
+        self._presence = Presence()
+        self._load = Load()
         #: Why vehicles have no tube, by id.
         self._waiting: dict[str, str] = {}
 
@@ -91,7 +101,14 @@ class ReachServer:
             declare = opening.enter_context
             status = keys.service_status("reach", self.instance)
             self._status = declare(declare_cached_publisher(self._output, status, ServiceStatus.encoding(), cache=1))
-            for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS):
+            own_events = keys.service_event("reach", self.instance)
+            self._own_events = declare(
+                declare_cached_publisher(self._output, own_events, Event.encoding(), cache=EVENT_CACHE)
+            )
+            self._others = OtherServers(str(self._output.zid()), self.instance)
+            self._queries = ThreadPoolExecutor(QUERIES, thread_name_prefix="cache-query")
+            opening.callback(self._queries.shutdown, wait=False, cancel_futures=True)
+            for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS, keys.ALL_STATUS):
                 declare(
                     declare_recovering_subscriber(
                         control, expression, self._control.append, history=1, late_publishers=True
@@ -106,9 +123,9 @@ class ReachServer:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        for publisher in (*self._tubes.values(), *self._events.values()):
-            publisher.close()
-        self._open.close()
+        with self._open:
+            for publisher in (*self._tubes.values(), *self._events.values()):
+                publisher.close()
 
     def run(self, stop: threading.Event) -> None:
         """Work until ``stop`` is set: one tick takes everything that has come since the last."""
@@ -124,6 +141,7 @@ class ReachServer:
             self._settle()
             if began >= next_status:
                 next_status = began + STATUS_SECONDS
+                self._look_around(began)
                 self._publish_status()
             stop.wait(max(0.0, TICK_SECONDS - (time.monotonic() - began)))
 
@@ -138,46 +156,63 @@ class ReachServer:
 
     def tick(self) -> None:
         """One round: rare messages first, then all samples, then the tubes of their newest."""
-        self._handle_control()
+        now = time.monotonic()
+        self._handle_control(now)
         batches = self.ingest.drain()
         if batches:
-            began = time.perf_counter()
-            outcome = self.fleet.process(batches)
-            seconds = time.perf_counter() - began
-            self._compute.append(seconds)
-            self._stored += outcome.stored
-            self._repeated += outcome.repeated
-            for engine, tubes in outcome.tubes:
-                for vehicle in tubes.vehicles:
-                    self._waiting.pop(vehicle, None)
-                self._waiting |= tubes.waiting
-                audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
-                profile = engine.profile
-                for message in publish.messages(
-                    tubes, profile.state_names, profile.position, audits,
-                    server=self.instance, server_epoch=self._started, compute_seconds=seconds,
-                ):  # fmt: skip
-                    self._publisher(self._tubes, keys.tube(message.vehicle), tube_message.ENCODING, 1).put(
-                        message.encode()
-                    )
-                    self._tube_count += 1
-            self._latencies.append(time.perf_counter() - began)
-            for event in outcome.events:
-                self._publish_event(event)
-            now = time.monotonic()
-            for batch in batches:
-                for vehicle in set(batch.vehicles):
-                    self._seen.setdefault(vehicle, now)
-        self._fetch_missing()
+            self._process(batches, now)
+        for event in self.fleet.elapse(now):
+            self._publish_event(event)
+        self._fetch_missing(now)
 
-    def _handle_control(self) -> None:
+    def _process(self, batches: list[VehicleBatch], now: float) -> None:
+        began = time.perf_counter()
+        outcome = self.fleet.process(batches, now)
+        seconds = time.perf_counter() - began
+        self._compute.append(seconds)
+        self._stored += outcome.stored
+        self._repeated += outcome.repeated
+        late = self._load.note
+        for engine, tubes in outcome.tubes:
+            for vehicle in tubes.vehicles:
+                self._waiting.pop(vehicle, None)
+            self._waiting |= tubes.waiting
+            audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
+            profile = engine.profile
+            for message in publish.messages(
+                tubes if late is None else tubes.noted(dict.fromkeys(tubes.vehicles, late)),
+                profile.state_names, profile.position, audits,
+                server=self.instance, server_epoch=self._started, compute_seconds=seconds,
+            ):  # fmt: skip
+                self._publisher(self._tubes, keys.tube(message.vehicle), tube_message.ENCODING, 1).put(message.encode())
+                self._tube_count += 1
+        self._latencies.append(time.perf_counter() - began)
+        if outcome.tubes:
+            self._see_load(batches)
+        for event in outcome.events:
+            self._publish_event(event)
+        for batch in batches:
+            for vehicle in set(batch.vehicles):
+                self._seen.setdefault(vehicle, now)
+
+    def _see_load(self, batches: list[VehicleBatch]) -> None:
+        """Hold the times at which the newest samples of a round came against that at which their tubes were out."""
+        newest: dict[str, int] = {}
+        for batch in batches:
+            if batch.arrived_ns is not None:
+                newest.update(zip(batch.vehicles, batch.arrived_ns.tolist(), strict=True))
+        behind = (time.time_ns() - min(newest.values())) / 1e9 if newest else 0.0
+        if self._load.see(max(0.0, behind)):
+            self._tell(EventKind.BEHIND, self._load.message, {"behind": self._load.behind})
+
+    def _handle_control(self, now: float) -> None:
         while self._control:
             item = self._control.popleft()
             if isinstance(item, tuple):
-                self._handle_token(*item)
+                self._handle_token(*item, now)
                 continue
             try:
-                for event in self._handle_document(item):
+                for event in self._handle_document(item, now):
                     self._publish_event(event)
             except MessageError as error:
                 self.rejections.count(error, item.key)
@@ -185,34 +220,68 @@ class ReachServer:
             except KeyIdError as error:
                 self.rejections.count(MessageError("key", str(error)), item.key)
 
-    def _handle_token(self, key: str, alive: bool) -> None:
+    def _handle_token(self, key: str, alive: bool, now: float) -> None:
         try:
             vehicle = keys.vehicle_of(key)
         except KeyIdError as error:
             self.rejections.count(MessageError("key", str(error)), key)
             return
+        self._presence.token(vehicle, alive, now)
         if not alive:
-            self._waiting.pop(vehicle, None)
             # It may come back with a cache that holds what was missed meanwhile.
-            self._asked.pop(vehicle, None)
-            self._seen.pop(vehicle, None)
-            self._publish_event(
-                EngineEvent(EventKind.VEHICLE_GONE, vehicle, time.time_ns(), f"{vehicle} is out of sight")
-            )
+            self._forget_asked(vehicle)
 
-    def _handle_document(self, item: Received) -> list[EngineEvent]:
+    def _handle_document(self, item: Received, now: float) -> list[EngineEvent]:
+        if item.key.startswith("svc/"):
+            self._handle_status(item, now)
+            return []
         if item.key.startswith("fleet/"):
             vehicle = keys.vehicle_of(item.key)
-            return self.fleet.set_profile(vehicle, VehicleProfile.decode(item.payload, item.encoding))
+            profile = VehicleProfile.decode(item.payload, item.encoding)
+            return self.fleet.set_profile(vehicle, profile, item.source, now)
         if item.key.endswith("/document"):
             document = ScenarioDocument.decode(item.payload, item.encoding)
             if keys.document(document.scenario) != item.key:
                 raise MessageError("key", f"scenario {document.scenario} was put on {item.key}")
-            return self.fleet.set_scenario(document)
+            return self.fleet.set_scenario(document, item.source, now)
         assignment = Assignment.decode(item.payload, item.encoding)
         if keys.assignment(assignment.scenario, assignment.vehicle) != item.key:
             raise MessageError("key", f"an assignment of {assignment.vehicle} was put on {item.key}")
-        return self.fleet.assign(assignment)
+        return self.fleet.assign(assignment, item.source, now)
+
+    def _handle_status(self, item: Received, now: float) -> None:
+        status = ServiceStatus.decode(item.payload, item.encoding)
+        if keys.service_status(status.kind, status.instance) != item.key:
+            raise MessageError("key", f"the status of {status.kind}/{status.instance} was put on {item.key}")
+        if status.kind == "side-info":
+            self.fleet.hear_service(item.source, now)
+        elif status.kind == "reach" and (news := self._others.hear(status, item.source, now)):
+            self._tell(EventKind.SECOND_SERVER, news, {"instance": status.instance, "session": item.source})
+
+    def _look_around(self, now: float) -> None:
+        """Once a second: who is gone, and what need not be kept any more."""
+        for news in self._others.elapse(now):
+            self._tell(EventKind.SECOND_SERVER, news, {})
+        waiting = self._presence.waiting
+        heard = {vehicle: at for vehicle in waiting if (at := self.fleet.heard(vehicle)) is not None}
+        intervals = {vehicle: self.fleet.interval(vehicle) for vehicle in waiting}
+        for vehicle in self._presence.gone(heard, intervals, now):
+            self._waiting.pop(vehicle, None)
+            self.fleet.mark_gone(vehicle)
+            message = f"{vehicle} is gone: no samples come, and it is out of sight"
+            self._publish_event(EngineEvent(EventKind.VEHICLE_GONE, vehicle, time.time_ns(), message))
+        for vehicle in self.fleet.let_go(now):
+            _log.info("let go of a vehicle that was silent for long", vehicle=vehicle)
+            self._forget_asked(vehicle)
+            self._waiting.pop(vehicle, None)
+            for publishers, key in ((self._tubes, keys.tube(vehicle)), (self._events, keys.event(vehicle))):
+                if (publisher := publishers.pop(key, None)) is not None:
+                    publisher.close()
+
+    def _forget_asked(self, vehicle: str) -> None:
+        self._asked.pop(vehicle, None)
+        self._asked_profile.discard(vehicle)
+        self._seen.pop(vehicle, None)
 
     def _tell_refused_document(self, key: str, error: MessageError) -> None:
         if not key.startswith("fleet/"):
@@ -225,26 +294,33 @@ class ReachServer:
         message = f"profile of {vehicle} refused: {error}"[:2000]
         self._publish_event(EngineEvent(EventKind.PROFILE_REFUSED, vehicle, time.time_ns(), message))
 
-    def _fetch_missing(self) -> None:
+    def _fetch_missing(self, now: float) -> None:
         """Ask the caches of agents that were there before they could be heard, once per start of an agent."""
-        now = time.monotonic()
         for vehicle, since in list(self._seen.items()):
             if now - since < GRACE_SECONDS:
                 continue
+            if vehicle not in self._asked_profile and self.fleet.waits_for_profile(vehicle):
+                self._asked_profile.add(vehicle)
+                self._queries.submit(self._fetch, keys.profile(vehicle), 1)
             first = self.fleet.first_sample(vehicle)
             if first is None or self._asked.get(vehicle) == first[0]:
                 continue
             self._asked[vehicle] = first[0]
             if first[1] > 0:
-                threading.Thread(target=self._fetch, args=(vehicle,), daemon=True).start()
+                self._queries.submit(self._fetch, keys.state(vehicle), HISTORY)
 
-    def _fetch(self, vehicle: str) -> None:
+    def _fetch(self, key: str, most: int) -> None:
         """Put what an agent's cache holds into the queue; what is known already is dropped by the window."""
         try:
-            for received in query_cache(self._query, keys.state(vehicle), max_samples=HISTORY, timeout=QUERY_SECONDS):
-                self.ingest.put(received)
+            found = query_cache(self._query, key, max_samples=most, timeout=QUERY_SECONDS)
         except zenoh.ZError as error:
-            _log.warning("cache query failed", vehicle=vehicle, error=str(error))
+            _log.warning("cache query failed", key=key, error=str(error))
+            return
+        for received in found:
+            if key.endswith("/state"):
+                self.ingest.put(received)
+            else:
+                self._control.append(received)
 
     def _publisher(self, known: dict[str, CachedPublisher], key: str, encoding: str, cache: int) -> CachedPublisher:
         publisher = known.get(key)
@@ -264,6 +340,13 @@ class ReachServer:
         self._publisher(self._events, keys.event(event.vehicle), Event.encoding(), EVENT_CACHE).put(message.encode())
         self._event_count += 1
 
+    def _tell(self, kind: EventKind, message: str, details: dict[str, str | int | float | bool]) -> None:
+        """Publish an event about the server itself."""
+        event = Event(kind=kind, t=time.time_ns(), source=self.instance, message=message[:2000], details=details)
+        _log.warning("event", kind=str(kind), message=message)
+        self._own_events.put(event.encode())
+        self._event_count += 1
+
     def status(self) -> ServiceStatus:
         """Counters and gauges of this moment."""
         filled = [count for engine in self.fleet.engines for count in engine.window_filled().tolist()]
@@ -278,9 +361,12 @@ class ReachServer:
                 "window_least": float(min(filled, default=0)),
                 "compute_p50": _quantile(self._compute, 0.5), "compute_p99": _quantile(self._compute, 0.99),
                 "tick_p50": _quantile(self._latencies, 0.5), "tick_p99": _quantile(self._latencies, 0.99),
+                "behind": self._load.behind, "known": float(len(self.fleet.vehicles)),
             },
             refused=self.rejections.snapshot(),
             waiting={vehicle: why[:200] for vehicle, why in islice(sorted(self._waiting.items()), 100)},
+            clocks=dict(sorted(self.fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:100]),
+            problems=[*self._others.problems, *([self._load.message] if self._load.late else [])][:32],
         )  # fmt: skip
 
     def _publish_status(self) -> None:

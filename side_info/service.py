@@ -17,6 +17,7 @@ from fleet_bus.errors import KeyIdError, MessageError, ScenarioError
 from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states, ranges
 from fleet_bus.pubsub import Received, declare_alive, declare_recovering_subscriber, query_cache
 from fleet_bus.rejections import Rejections
+from fleet_bus.writers import Source
 from side_info import watching
 from side_info.publications import Publications
 from side_info.scenario import Scenario
@@ -91,6 +92,8 @@ class SideInfoService:
         self._rejections = Rejections()
         self._starts: defaultdict[str, VehicleStart] = defaultdict(VehicleStart)
         self._searched: set[str] = set()
+        #: Vehicles whose states a second source publishes.
+        self._rivalled: set[str] = set()
         self._assignments: dict[str, int | None] = {}
         self._counters: Counter[str] = Counter(states=0, assignments=0, documents_published=0)
         self._refused_documents: Counter[str] = Counter()
@@ -133,16 +136,28 @@ class SideInfoService:
     def _take_in(self, publications: Publications) -> None:
         """Process what has arrived since the last time."""
         arrived = [self._arrived.popleft() for _ in range(len(self._arrived))]
-        for vehicle, samples in self._decode(arrived).items():
+        now = time.monotonic()
+        changed = {vehicle for vehicle in self._rivalled if self._starts[vehicle].elapse(now)}
+        for (vehicle, source), samples in self._decode(arrived).items():
             start = self._starts[vehicle]
-            start.see(samples)
+            before = start.writer.conflict
+            if start.take_in(source, samples, now):
+                changed.add(vehicle)
+            if start.writer.conflict and not before:
+                first, second = start.writer.source, start.writer.rival
+                _log.warning("two sources publish a vehicle", vehicle=vehicle, first=str(first), second=str(second))
+            if start.writer.rival is not None:
+                self._rivalled.add(vehicle)
+        self._rivalled = {vehicle for vehicle in self._rivalled if self._starts[vehicle].writer.rival is not None}
+        for vehicle in changed:
+            start = self._starts[vehicle]
             if start.seen and start.time_zero is None and vehicle not in self._searched:
                 self._searched.add(vehicle)
                 self._search(vehicle)
             self._publish_assignment(vehicle, publications)
 
-    def _decode(self, arrived: list[Received]) -> dict[str, list[tuple[int, int]]]:
-        """Stamps and flags by vehicle, in the order of arrival, of those that take part in a scenario."""
+    def _decode(self, arrived: list[Received]) -> dict[tuple[str, Source], list[tuple[int, int]]]:
+        """Stamps and flags by vehicle and source, in the order of arrival, of those that take part in a scenario."""
         wanted: list[tuple[str, Received]] = []
         for received in arrived:
             try:
@@ -158,19 +173,23 @@ class SideInfoService:
         for index, refusal in refused:
             self._rejections.count(refusal, wanted[index][1].key)
         rows = [
-            row for batch in batches for row in zip(batch.index.tolist(), batch.t.tolist(), _flags(batch), strict=True)
+            row
+            for batch in batches
+            for row in zip(batch.index.tolist(), batch.t.tolist(), _flags(batch), batch.epoch.tolist(), strict=True)
         ]
         self._counters["states"] += len(rows)
-        samples: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
-        for index, t, flags in sorted(rows):
-            samples[wanted[index][0]].append((t, flags))
+        samples: defaultdict[tuple[str, Source], list[tuple[int, int]]] = defaultdict(list)
+        for index, t, flags, epoch in sorted(rows):
+            vehicle, received = wanted[index]
+            samples[vehicle, Source(received.source, epoch)].append((t, flags))
         return samples
 
     def _search(self, vehicle: str) -> None:
         """Look for the start of a vehicle in its cache: it was under way when its first sample came here."""
         cached = query_cache(self._session, keys.state(vehicle), max_samples=_WHOLE_CACHE, timeout=_QUERY_TIMEOUT)
         start = self._starts[vehicle]
-        start.see(self._decode(cached).get(vehicle, []))
+        if start.writer.source is not None:
+            start.see(self._decode(cached).get((vehicle, start.writer.source), []))
         if start.time_zero is None:
             _log.warning("start not seen: not assigned until a trajectory begins", vehicle=vehicle)
 

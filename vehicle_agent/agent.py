@@ -47,11 +47,13 @@ REASONS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an agent did: samples published, and readings skipped by reason (see ``REASONS``)."""
+    """What an agent did: samples published, readings skipped by reason (see ``REASONS``), and how often the filter lost
+    the vehicle and began anew."""
 
     vehicle: str
     published: int
     skipped: Mapping[str, int]
+    restarts: int = 0
 
 
 class Agent:
@@ -107,7 +109,7 @@ class Agent:
     @property
     def report(self) -> Report:
         """What has been done so far."""
-        return Report(self.vehicle, self._seq, self._skips.snapshot())
+        return Report(self.vehicle, self._seq, self._skips.snapshot(), self._filter.restarts)
 
     @property
     def upcoming(self) -> Reading | None:
@@ -221,7 +223,8 @@ def run(agents: Sequence[Agent], stop: threading.Event, speed: float = 1.0) -> d
         agents[index].publish(origin)
         enqueue(index)
     reports = {agent.vehicle: agent.report for agent in agents}
-    _log.info("agents done", vehicles=len(reports), published=sum(r.published for r in reports.values()))
+    published, restarts = (sum(getattr(r, name) for r in reports.values()) for name in ("published", "restarts"))
+    _log.info("agents done", vehicles=len(reports), published=published, filter_restarts=restarts)
     return reports
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
-from fleet_bus.errors import UsageError
+from fleet_bus.errors import MessageError, UsageError
 from fleet_bus.messages import VehicleProfile
 from vehicle_agent.angles import wrap
 from vehicle_agent.correction import CORRECTION, correct, sensor_bound
@@ -14,26 +14,45 @@ from vehicle_agent.correction import CORRECTION, correct, sensor_bound
 #: σ_a dt²/σ_z: how far an unforeseen acceleration moves the state within a sample, over the sensor's noise.
 TRACKING_INDEX: Final = 3.0
 
+#: An estimate further than this from what was measured, in deviations of the sensor, has lost the vehicle: rounding at
+#: that distance is no longer small beside the sensor's error.
+LOST: Final = 1e9
+
+#: Bounds below this count as none, those above its inverse as unusable: their squares leave the range of doubles.
+_LEAST_BOUND: Final = 1e-60
+
 
 class Filter(Protocol):
-    """Turns measurements of one vehicle into the states that are published."""
+    """Turns measurements of one vehicle into the states that are published.
+
+    What a measurement that is refused, or one that is far off, leaves behind never outlasts the next sound one.
+    """
+
+    @property
+    def restarts(self) -> int:
+        """How often the estimate was lost and began anew with a measurement, beside ``reset``."""
 
     def reset(self) -> None:
         """Forget everything: what comes next does not follow from what came before."""
 
     def update(self, t: int, measured: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Published state (n) for the state ``measured`` (n) at ``t`` ns, later than the call before."""
+        """Published state (n) for the state ``measured`` (n) at ``t`` ns, later than the call before.
+
+        Raises ``MessageError`` for a measurement that holds NaN or an infinity; it leaves no trace.
+        """
 
 
 class PassThrough:
     """Publishes what was measured."""
 
+    restarts: Final = 0
+
     def reset(self) -> None:
         """Nothing is remembered."""
 
     def update(self, t: int, measured: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``measured`` itself (n)."""
-        return measured
+        """``measured`` itself (n); raise ``MessageError`` where it is not finite."""
+        return _finite(measured)
 
 
 class KinematicFilter:
@@ -45,6 +64,9 @@ class KinematicFilter:
     Angles are unwrapped inside (successive measurements less than half a turn apart) and published in
     (-pi, pi], the error being that on the circle.
 
+    An estimate that overflows, or is further than ``LOST`` from what was measured, is given up: the filter begins anew
+    with that measurement, which is published as it is, and ``restarts`` counts it.
+
     Args:
         bound: the sensor's half-widths b (n), in the units of the state.
         sample_time: nominal sample time in s, to which ``tracking_index`` refers; real intervals may vary.
@@ -52,7 +74,7 @@ class KinematicFilter:
         correction: kappa ≥ 0.
         tracking_index: agility of the filter, see ``TRACKING_INDEX``.
 
-    Raises ``UsageError`` for a negative or non-finite argument.
+    Raises ``UsageError`` for a negative or non-finite argument, and for numbers whose squares are no longer finite.
     """
 
     def __init__(
@@ -77,10 +99,18 @@ class KinematicFilter:
             )
         self._correction = correction
         # Standard deviation of the uniform distribution; any positive one will do where the bound is zero.
-        sigma = np.where(self._bound > 0, self._bound, 1.0) / np.sqrt(3.0)
-        self._acceleration = np.diag((tracking_index * sigma / sample_time**2) ** 2)
-        self._noise = np.diag(sigma**2)
-        self._first_rate = np.diag((sigma / sample_time) ** 2) * 1e4
+        self._sigma = np.where(self._bound > _LEAST_BOUND, self._bound, 1.0) / np.sqrt(3.0)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            self._acceleration = np.diag((tracking_index * self._sigma / np.float64(sample_time) ** 2) ** 2)
+            self._noise = np.diag(self._sigma**2)
+            self._first_rate = np.diag((self._sigma / sample_time) ** 2) * 1e4
+        made = np.stack([self._acceleration, self._noise, self._first_rate])
+        if (self._bound > 1 / _LEAST_BOUND).any() or not np.isfinite(made).all():
+            raise UsageError(
+                f"bound {self._bound.tolist()}, sample time {sample_time} s and tracking index {tracking_index} lead "
+                "out of the range of numbers: state them in other units"
+            )
+        self.restarts = 0
         self._kalman = KalmanFilter(dim_x=2 * n, dim_z=n)
         self._kalman.H = np.eye(n, 2 * n)
         self._kalman.R = self._noise
@@ -96,21 +126,40 @@ class KinematicFilter:
     def update(self, t: int, measured: NDArray[np.float64]) -> NDArray[np.float64]:
         """Published state (n) for the state ``measured`` (n) at ``t`` ns, later than the call before.
 
-        If ``measured`` is within ``bound`` of the truth, this is within ``(1 + correction) * bound`` of it.
+        If ``measured`` is within ``bound`` of the truth, this is within ``(1 + correction) * bound`` of it. Raises
+        ``MessageError`` for a measurement that holds NaN or an infinity; it leaves no trace.
         """
-        if self._started:
-            turned = measured - self._measured
-            self._measured = self._measured + np.where(self._angles, wrap(turned), turned)
-            self._move((t - self._t) / 1e9)
-            self._kalman.predict()
-            self._kalman.update(self._measured)
-        else:
+        measured = _finite(measured)
+        measured = np.where(self._angles, wrap(measured), measured)
+        if self._started and not self._follow((t - self._t) / 1e9, measured):
+            self._started = False
+            self.restarts += 1
+        if not self._started:
             self._begin(measured)
         self._t = t
         turns = measured - self._measured
         estimate = self._kalman.x[: len(measured)] + turns
         published = correct(measured, estimate, self._bound, self._correction)
         return np.where(self._angles, wrap(published), published)
+
+    def _follow(self, dt: float, measured: NDArray[np.float64]) -> bool:
+        """Go on for ``dt`` s to a measurement; whether there is still an estimate worth the name."""
+        if dt <= 0:
+            return False
+        with np.errstate(all="ignore"):
+            turned = measured - self._measured
+            self._measured = self._measured + np.where(self._angles, wrap(turned), turned)
+            try:
+                self._move(dt)
+                self._kalman.predict()
+                innovation = self._measured - self._kalman.x[: len(measured)]
+                if not (np.abs(innovation) <= LOST * self._sigma).all():
+                    return False
+                self._kalman.update(self._measured)
+            # Where the covariance is no longer one.
+            except np.linalg.LinAlgError:
+                return False
+        return bool(np.isfinite(self._kalman.x).all() and np.isfinite(self._kalman.P).all())
 
     def _begin(self, measured: NDArray[np.float64]) -> None:
         zero = np.zeros_like(self._noise)
@@ -125,6 +174,12 @@ class KinematicFilter:
             self._kalman.F = np.block([[eye, dt * eye], [0 * eye, eye]])
             self._kalman.Q = np.block([[dt**4 / 4 * a, dt**3 / 2 * a], [dt**3 / 2 * a, dt**2 * a]])
             self._dt = dt
+
+
+def _finite(measured: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not np.isfinite(measured).all():
+        raise MessageError("not_finite", f"measured {measured.tolist()}")
+    return measured
 
 
 def filter_for(profile: VehicleProfile, *, correction: float = CORRECTION) -> Filter:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fleet_bus.errors import RecordingError
 from fleet_bus.messages import VehicleProfile
+from fleet_bus.units import canonical
 
 FORMATS: Final = (".npz",)
 
@@ -93,7 +94,8 @@ class Recording:
     def select(self, profile: VehicleProfile) -> "Recording":
         """The columns that ``profile`` names, in its order.
 
-        Raises ``RecordingError`` for a column that is not there or has another unit than the profile says.
+        Spellings of one unit (``m/s^2``, ``m/s2``) are the same. Raises ``RecordingError`` for a column that is not
+        there or has another unit than the profile says.
         """
         states = self._columns("state", self.state_names, self.state_units, _units(profile.state))
         inputs = self._columns("input", self.input_names, self.input_units, _units(profile.inputs))
@@ -118,7 +120,7 @@ class Recording:
             )
         columns = [names.index(name) for name in wanted]
         for name, i in zip(wanted, columns, strict=True):
-            if units[i] != wanted[name]:
+            if canonical(units[i]) != canonical(wanted[name]):
                 raise RecordingError(
                     f"{self.name}: {what} {name!r} is in {units[i]!r}, the profile says {wanted[name]!r}: "
                     "correct the profile, or convert the recording"
@@ -175,7 +177,7 @@ def _frozen(array: Any, kind: type[np.generic], where: str) -> NDArray[Any]:
     found = np.asarray(array)
     if found.dtype.kind not in ("iu" if issubclass(kind, np.integer) else "fiu"):
         raise RecordingError(f"{where} holds {found.dtype}, expected {np.dtype(kind)}")
-    copy: NDArray[Any] = found.astype(kind)
+    copy: NDArray[Any] = found.astype(kind, order="C")
     copy.setflags(write=False)
     return copy
 

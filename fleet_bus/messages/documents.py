@@ -12,6 +12,7 @@ from fleet_bus.messages import ranges
 Id = Annotated[str, Field(pattern=f"^{keys.ID_PATTERN.pattern}$")]
 Nanoseconds = Annotated[int, ranges.TIME]
 Counter = Annotated[int, ranges.COUNTER]
+Clock = Annotated[tuple[Annotated[float, ranges.CLOCK], Annotated[float, ranges.CLOCK_SPREAD]], Field(strict=False)]
 
 #: Problems of a field that are counted under a reason of their own, where there are several the first.
 _REASONS: Final = {"finite_number": "not_finite", ranges.OUTSIDE: "range"}
@@ -102,6 +103,7 @@ class EventKind(StrEnum):
     UNKNOWN_VEHICLE = "unknown_vehicle"
     PROFILE_REFUSED = "profile_refused"
     PROFILE_CONTRADICTED = "profile_contradicted"
+    PROFILE_CHANGED = "profile_changed"
     SCENARIO_REFUSED = "scenario_refused"
     CONTRADICTION = "contradiction"
     MISS = "miss"
@@ -110,17 +112,22 @@ class EventKind(StrEnum):
     JUMP = "jump"
     GLITCH = "glitch"
     VEHICLE_GONE = "vehicle_gone"
+    TWO_SOURCES = "two_sources"
+    ONE_SOURCE = "one_source"
+    CLOCK = "clock"
+    SECOND_SERVER = "second_server"
+    BEHIND = "behind"
 
 
 class Event(Document):
-    """Something that an operator should know about one vehicle."""
+    """Something that an operator should know about one vehicle, or about the service that tells it."""
 
     SCHEMA: ClassVar[str] = "fleet.event"
     MAX_BYTES: ClassVar[int] = 16384
 
     # What is on the wire is the text of the kind.
     kind: Annotated[EventKind, Field(strict=False)]
-    vehicle: Id
+    vehicle: Annotated[Id | None, Field(description="none for what concerns the service as a whole")] = None
     t: Nanoseconds
     source: Id
     message: Annotated[str, Field(max_length=2000)]
@@ -143,4 +150,13 @@ class ServiceStatus(Document):
     refused: dict[str, Counter] = Field(default_factory=dict, max_length=256)
     waiting: dict[Id, Annotated[str, Field(max_length=200)]] = Field(
         default_factory=dict, max_length=100, description="vehicles without a tube, and why; the first 100"
+    )
+    clocks: dict[Id, Clock] = Field(
+        default_factory=dict,
+        max_length=100,
+        description="of the 100 vehicles whose clocks are furthest off: stamp minus time of arrival, s, the greatest "
+        "of the last 10 to 20 s and by how much the others were less",
+    )
+    problems: list[Annotated[str, Field(max_length=300)]] = Field(
+        default_factory=list, max_length=32, description="what is wrong with the service as a whole, now"
     )

@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 from fleet_bus.errors import ProfileError
 from fleet_bus.messages import ranges
 from fleet_bus.messages.documents import Document, Id, explain
+from fleet_bus.messages.methods import Method
 from fleet_bus.units import seconds
 
 Origin = Literal["given", "calibrated"]
@@ -145,7 +146,7 @@ class VehicleProfile(Document):
     margin: Annotated[Literal["step", "tube"], Field(description="what the confidence speaks about")] = "step"
     roles: Roles = Roles()
     horizon: Annotated[int, ranges.HORIZON] = 10
-    method: Literal["default", "calibrated", "set_membership", "residual_hull", "paper", "lti"] = "default"
+    method: Literal["default", Method] = "default"
     cuts: Literal["zonotope", "constrained", "frobenius"] = "zonotope"
     maps_to: dict[Name, Name] = Field(default_factory=dict)
 

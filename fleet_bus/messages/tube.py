@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fleet_bus import codec, keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import ranges
+from fleet_bus.messages.methods import TUBE_METHODS
 
 SCHEMA: Final = "fleet.tube"
 VERSION: Final = 1
@@ -145,6 +146,8 @@ class ReachTube:
             raise MessageError("range", f"position {position!r:.40} must be two indices below {n}")
         if fields["l"] not in set(Label):
             raise MessageError("range", f"label {fields['l']!r:.40} is none of {[str(label) for label in Label]}")
+        if fields["m"] not in TUBE_METHODS:
+            raise MessageError("range", f"method {fields['m']!r:.40} is none of {list(TUBE_METHODS)}")
         generators = len(fields["g"]) // (4 * steps * n)
         vertices = len(fields["o"]) // (4 * steps * 2)
         cuts = tuple(Cut(*_row(cut, "k", (str, str, int, int))) for cut in fields["k"])

@@ -22,6 +22,7 @@ from fleet_bus.messages import (
 )
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.methods import FROM_LIMITS, TUBE_METHODS
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -104,7 +105,7 @@ TUBE_FIELDS: Final[tuple[Field, ...]] = (
     Field("T", "times", _TIMES, "ns", "times of the h steps, 1 to 1000 of them, since the Unix epoch"),
     Field("x", "state names", _NAMES, "", "names of the n states, in order"),
     Field("p", "position", _list(_INDEX, _INDEX), "", "indices of the two position states"),
-    Field("m", "method", _TEXT, "", "calibrated, set_membership, residual_hull or paper"),
+    Field("m", "method", {"enum": list(TUBE_METHODS)}, "", f"how the sets came about; {FROM_LIMITS}: without a model"),
     Field("l", "label", {"enum": [str(label) for label in Label]}, "", "what the tube claims"),
     Field("c", "center", _sets("<f8", "h", "n"), "of the state", "center of the set of each step"),
     Field("g", "generators", _sets("<f4", "h", "n", "g"), "of the state", "{c + G b : |b_i| <= 1} contains the set"),

@@ -1,14 +1,16 @@
 """The steps of a calibration."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from fleet_bus.errors import ProfileError, RecordingError
+from fleet_bus.errors import ProfileError, RecordingError, UsageError
 from fleet_bus.messages import VehicleProfile, parse_profile
+from fleet_bus.messages.methods import METHODS
 from fleet_bus.units import seconds
+from fleet_cli.calibration import doubts
 from fleet_cli.calibration.bounds import FittedBounds, fitted_bounds
 from fleet_cli.calibration.draft import Choice, complete, observed_limits, round_up
 from fleet_cli.calibration.estimates import (
@@ -20,80 +22,26 @@ from fleet_cli.calibration.estimates import (
     measurement_noise,
     timing,
 )
-from fleet_cli.evaluation import MethodFigures, Settings, Trial, evaluate, plan_trials
-from fleet_cli.evaluation.runs import choose, cut, keep, list_runs
+from fleet_cli.calibration.held_out import HeldOut, Request, Tell, box_of, evaluate_held_out, set_bounds, stated
+from fleet_cli.calibration.sense import examine
 from fleet_cli.evaluation.trials import samples
-from reach_server.calibrated.learner import LEAST_BEYOND
+from reach_server.calibrated.learner import least_window
 from reach_server.engine import Engine
 from reach_server.regression import Layout
 from vehicle_agent.recording import Recording
 
-#: Factors by which all noise is widened until enough held-out states lie inside, at every step of the horizon.
-MARGINS: Final = (1.0, 1.25, 1.5, 2.0, 3.0)
-#: Runs from which on every other one is held out; fewer are cut, and the last ones held out.
-ENOUGH_RUNS: Final = 4
-_PIECES: Final = 10
-_HELD_OUT: Final = "first:0.6"
 #: Samples below which nothing is estimated.
 LEAST_SAMPLES: Final = 200
 
-Tell = Callable[[str, int, int], None]
 
+class CalibrationError(RecordingError):
+    """Recordings that no calibration can be made of. ``fields`` are those of the profile as far as it came, and
+    ``choices`` where they come from: something to edit, and to begin again with."""
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What to calibrate.
-
-    Attributes:
-        recordings: of one class of vehicles.
-        given: fields of a profile, as in its YAML; what is missing is estimated. Noise and slopes with
-            ``origin: calibrated`` are estimated anew.
-        name: of the class where none is given.
-        methods: evaluated on the runs held out.
-        train_runs, run_seconds: which runs to fit to in that, see ``plan_trials``; None chooses.
-    """
-
-    recordings: Sequence[Recording]
-    given: Mapping[str, Any]
-    name: str
-    methods: tuple[str, ...] = ("calibrated", "set_membership")
-    train_runs: str | None = None
-    run_seconds: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Margin:
-    """A margin tried: coverage of ``set_membership`` on the runs held out, at the step where it is least, and the part
-    of the tubes there whose data contradicted the bounds."""
-
-    factor: float
-    step: int
-    checked: int
-    inside: int
-    contradicted: float
-
-    @property
-    def share(self) -> float:
-        """Part of the states that lay inside."""
-        return self.inside / self.checked if self.checked else 0.0
-
-    def holds(self, confidence: float) -> bool:
-        """Whether the sets hold enough states, and the data hardly ever contradicts the bounds."""
-        return self.share >= confidence and self.contradicted <= 1.0 - confidence
-
-
-@dataclass(frozen=True, slots=True)
-class HeldOut:
-    """How models and fitted bounds do on runs that they were not fitted to. Sample time, lags, measurement noise and
-    limits are estimated from all runs, and the margin is chosen on these very runs."""
-
-    train_runs: str
-    run_seconds: float | None
-    trained: int
-    tested: int
-    profile: VehicleProfile
-    margins: tuple[Margin, ...]
-    figures: dict[str, MethodFigures]
+    def __init__(self, message: str, fields: Mapping[str, Any], choices: Sequence[Choice]) -> None:
+        super().__init__(message)
+        self.fields = dict(fields)
+        self.choices = tuple(choices)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +79,25 @@ class _Draft:
 def calibrate(request: Request, tell: Tell) -> Calibration:
     """The profile of some recordings; ``tell`` is called with what is being done, and how far it is.
 
-    Raises ``ProfileError`` for given fields that cannot be, ``RecordingError`` for recordings that do not have what
-    is asked for or are too short.
+    Raises ``ProfileError`` for given fields that cannot be, ``UsageError`` for wrong use, ``CalibrationError`` for
+    recordings that do not have what is asked for, contradict themselves or are too short; it has what was found so far.
     """
-    given = {name: value for name, value in request.given.items() if name != "lipschitz" or _stated(value)}
+    for method in request.methods:
+        if method not in ("default", *METHODS):
+            raise UsageError(f"method {method!r} is unknown: choose one of default, {', '.join(METHODS)}")
+    given = {name: value for name, value in request.given.items() if name != "lipschitz" or stated(value)}
     fields, choices = complete(_without_fitted_noise(given), list(request.recordings), request.name)
     draft = _Draft(fields, choices)
-    _need_samples(request.recordings)
+    try:
+        return _calibrated(request, draft, tell)
+    except RecordingError as error:
+        raise CalibrationError(str(error), draft.fields, _with_given(request.given, draft)) from None
+
+
+def _calibrated(request: Request, draft: _Draft, tell: Tell) -> Calibration:
+    _examine(draft, request)
     found = _timing(draft, request.recordings, tell)
+    _need_samples(request.recordings)
     profile = draft.profile()
     recordings = [recording.select(profile) for recording in request.recordings]
     noise = _noise(draft, recordings, profile, tell)
@@ -146,10 +105,13 @@ def calibrate(request: Request, tell: Tell) -> Calibration:
     _limits(draft, recordings)
     _window(draft, recordings)
     for method in request.methods:
-        # An unknown method is told before the work.
-        Engine(draft.profile(), method=method)
+        # What a method cannot work with is told before the work.
+        try:
+            Engine(draft.profile(), method=method)
+        except UsageError as error:
+            raise RecordingError(str(error)) from None
     fits = draft.profile().lipschitz is None or "process" not in draft.fields.get("noise", {})
-    held_out = _held_out(request, recordings, draft.profile(), fits, tell)
+    held_out = evaluate_held_out(request, recordings, draft.profile(), fits, tell)
     margin = held_out.margins[-1].factor if held_out.margins else 1.0
     bounds = None
     if fits:
@@ -157,21 +119,35 @@ def calibrate(request: Request, tell: Tell) -> Calibration:
         bounds = fitted_bounds(samples(recordings, 0, 10**9), draft.profile())
         _keep_bounds(draft, bounds, margin, held_out)
         tell("bounds over all runs", 1, 1)
+    profile = draft.profile()
+    unit = profile.state[profile.state_names[profile.position[0]]].unit
+    draft.warnings += doubts.of_figures(held_out.figures, held_out.profile.confidence, unit)
     return Calibration(
-        draft.profile(), tuple(_with_given(request.given, draft)), found, noise, lags, bounds, held_out,
-        tuple(draft.warnings),
-    )  # fmt: skip
+        profile, tuple(_with_given(request.given, draft)), found, noise, lags, bounds, held_out, tuple(draft.warnings)
+    )
 
 
-def _stated(part: Any) -> bool:
-    return isinstance(part, Mapping) and part.get("origin") == "given"
+def _examine(draft: _Draft, request: Request) -> None:
+    """Refuse recordings that contradict themselves, with all that is wrong at once; note what is doubtful."""
+    found = examine(request.recordings, draft.fields, guessed="roles" not in request.given)
+    draft.warnings += found.doubts
+    if not found.problems:
+        return
+    if found.sample_time is not None and "sample_time" not in draft.fields:
+        draft.estimate("sample_time", _rounded(found.sample_time), "median interval, the stamps taken for another unit")
+    names = ", ".join(recording.name for recording in request.recordings)
+    raise RecordingError(f"{names}: {'; and '.join(found.problems)}")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def _without_fitted_noise(given: Mapping[str, Any]) -> dict[str, Any]:
     """The fields without noise sets that an earlier calibration has fitted."""
     fields = dict(given)
     if isinstance(noise := fields.get("noise"), Mapping):
-        fields["noise"] = {kind: part for kind, part in noise.items() if _stated(part)}
+        fields["noise"] = {kind: part for kind, part in noise.items() if stated(part)}
     return fields
 
 
@@ -209,7 +185,8 @@ def _timing(draft: _Draft, recordings: Sequence[Recording], tell: Tell) -> Timin
     if found.share < TOLERATED:
         draft.warnings.append(
             f"{100 * (1 - found.share):.1f} % of the sample intervals are more than {100 * found.tolerance:g} % off "
-            "the sample time: each ends a trajectory"
+            "the sample time: each ends a trajectory; record at a fixed rate, or state a tolerance or sample_time that "
+            "holds them"
         )
     if "sample_time" not in draft.fields:
         draft.estimate("sample_time", found.sample_time, f"median interval {median:.4g} ms")
@@ -224,7 +201,7 @@ def _noise(draft: _Draft, recordings: Sequence[Recording], profile: VehicleProfi
     found = measurement_noise(recordings, profile)
     if profile.noise.measurement is None:
         box = [round_up(bound) for bound in found.bound]
-        draft.fields["noise"] = {**draft.fields.get("noise", {}), "measurement": _box(box)}
+        draft.fields["noise"] = {**draft.fields.get("noise", {}), "measurement": box_of(box)}
         rate = 1 / profile.sample_time
         why = f"4 σ of third differences at {rate:.3g} Hz{', too large where motion leaks' if rate < 50 else ''}"
         draft.choices.append(Choice("noise.measurement", box, "estimated", why))
@@ -258,97 +235,12 @@ def _window(draft: _Draft, recordings: Sequence[Recording]) -> None:
     """A window that the training part of the recordings can fill, but one that resolves the confidence."""
     total = sum(len(recording.t) for recording in recordings)
     if "window" not in draft.fields and total < 2 * VehicleProfile.model_fields["window"].default:
-        least = int(np.ceil(LEAST_BEYOND / (1 - draft.profile().confidence) - 1e-9))
+        least = least_window(draft.profile().confidence)
         draft.estimate("window", max(total // 2, least), f"half of the {total} samples, {least} at least")
 
 
-def _box(half: Sequence[float]) -> dict[str, Any]:
-    return {"box": list(half), "origin": "calibrated"}
-
-
-def _held_out(
-    request: Request, recordings: Sequence[Recording], profile: VehicleProfile, fits: bool, tell: Tell
-) -> HeldOut:
-    """Fit to some runs, evaluate on the others."""
-    train_runs, run_seconds = _split(request, recordings, profile)
-    trials = plan_trials(recordings, profile, train_runs=train_runs, run_seconds=run_seconds)
-    pieces = [cut(r, run_seconds) for r in recordings] if run_seconds is not None else list(recordings)
-    runs = list_runs(pieces, profile)
-    trained = keep(pieces, runs, choose(runs, train_runs, "--train-runs"))
-    margins: list[Margin] = []
-    figures: dict[str, MethodFigures] = {}
-    if fits:
-        tell("bounds", 0, 1)
-        bounds = fitted_bounds(samples(trained, 0, 10**9), profile)
-        tell("bounds", 1, 1)
-        for factor in MARGINS:
-            widened = _with_bounds(profile, bounds, factor)
-            figures = _by_margin(trials, widened, factor, tell)
-            margins.append(_worst(factor, figures["set_membership"]))
-            if margins[-1].holds(profile.confidence):
-                break
-        profile = widened
-    others = tuple(method for method in request.methods if method not in figures)
-    # Without a plan the driver is part of the error of calibrated sets, here as in operation.
-    driver = "recorded" if profile.future_inputs == "plan" else "learned"
-    for method in others:
-        inputs = driver if method == "calibrated" else "recorded"
-        figures |= evaluate(trials, profile, Settings((method,), inputs=inputs), tell)
-    return HeldOut(
-        train_runs, run_seconds, sum(len(r.t) for r in trained), sum(len(trial.tested) for trial in trials), profile,
-        tuple(margins), {method: figures[method] for method in request.methods},
-    )  # fmt: skip
-
-
-def _split(request: Request, recordings: Sequence[Recording], profile: VehicleProfile) -> tuple[str, float | None]:
-    """Which runs to fit to: every other one of several, else the first part of all in order of time."""
-    count = len(list_runs(recordings, profile))
-    if request.train_runs is not None or request.run_seconds is not None:
-        return request.train_runs or "even", request.run_seconds
-    if count >= ENOUGH_RUNS:
-        return "even", None
-    duration = sum(float(r.t[rows][-1] - r.t[rows][0]) for r in recordings for rows in r.segments())
-    return _HELD_OUT, max(duration / _PIECES, 20 * profile.sample_time)
-
-
-def _by_margin(trials: Sequence[Trial], profile: VehicleProfile, factor: float, tell: Tell) -> dict[str, MethodFigures]:
-    def renamed(_: str, done: int, total: int) -> None:
-        tell(f"margin {factor:g}", done, total)
-
-    return evaluate(trials, profile, Settings(("set_membership",)), renamed)
-
-
-def _worst(factor: float, figures: MethodFigures) -> Margin:
-    steps = [step for step in figures.steps if step.checked]
-    if not steps:
-        raise RecordingError("no prediction of the held-out runs could be checked: they are too short")
-    worst = min(steps, key=lambda step: step.inside / step.checked)
-    tubes = sum(figures.label_counts.values())
-    contradicted = figures.label_counts.get("contradicted", 0) / tubes if tubes else 0.0
-    return Margin(factor, worst.step, worst.checked, worst.inside, contradicted)
-
-
-def _with_bounds(profile: VehicleProfile, bounds: FittedBounds, margin: float) -> VehicleProfile:
-    fields = profile.model_dump(mode="json", by_alias=True, exclude_none=True)
-    _set_bounds(fields, bounds, margin)
-    return parse_profile(fields, "the profile")
-
-
-def _set_bounds(fields: dict[str, Any], bounds: FittedBounds, margin: float) -> None:
-    """Put fitted bounds, rounded outwards, into the fields where none are stated."""
-    noise = dict(fields.get("noise") or {})
-    if not _stated(noise.get("process")):
-        noise["process"] = _box([round_up(float(w)) for w in bounds.widened(margin)])
-    fields["noise"] = noise
-    if not _stated(fields.get("lipschitz")):
-        # Bounds of derivatives outlast a refit of the model, slopes of its residual do not.
-        lower = [[0.0 - round_up(-float(slope), 4) for slope in row] for row in bounds.lower]
-        upper = [[round_up(float(slope), 4) for slope in row] for row in bounds.upper]
-        fields["lipschitz"] = {"lower": lower, "upper": upper, "origin": "calibrated"}
-
-
 def _keep_bounds(draft: _Draft, bounds: FittedBounds, margin: float, held_out: HeldOut) -> None:
-    _set_bounds(draft.fields, bounds, margin)
+    set_bounds(draft.fields, bounds, margin)
     tried = held_out.margins[-1]
     if not tried.holds(held_out.profile.confidence):
         draft.warnings.append(

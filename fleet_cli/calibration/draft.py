@@ -9,18 +9,13 @@ import numpy as np
 
 from fleet_bus.errors import ProfileError
 from fleet_bus.keys import ID_PATTERN
+from fleet_cli.calibration.motion import agreement
+from fleet_cli.calibration.names import in_words, may_be_speeds, quantity, roles_of
 from vehicle_agent.recording import Recording
 
-#: Names by which a role is recognised, in the order of preference; compared in lower case.
-_POSITIONS: Final = (("x", "y"), ("px", "py"), ("pos_x", "pos_y"), ("x1", "x2"), ("east", "north"), ("e", "n"))
-_HEADINGS: Final = ("yaw", "heading", "theta", "psi", "x3")
-_SPEEDS: Final = ("v", "speed", "vx", "v_x", "velocity", "v_encoder", "x4")
-_LATERAL: Final = ("vy", "v_y", "lateral_speed")
-_YAW_RATES: Final = ("yaw_rate", "yawrate", "omega", "r", "wz", "w_z")
-_STEERING: Final = re.compile(r"steer|delta|curvature", re.IGNORECASE)
-_ANGLE: Final = re.compile(r"yaw|heading|theta|psi|angle|course|azimuth", re.IGNORECASE)
 _NOTHING: Final = 1e-12
-_RATE: Final = re.compile(r"rate|dot|omega", re.IGNORECASE)
+#: How far the way that the positions move may be from that by a speed for it to be the speed of the vehicle.
+_ALIKE: Final = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +49,19 @@ def complete(given: Mapping[str, Any], recordings: list[Recording], name: str) -
     ):
         if field not in fields:
             _same_columns(field, recordings)
-            guess(field, {n: _quantity(n, u, field) for n, u in zip(names, units, strict=True)}, "columns recorded")
+            empty = _never_recorded(recordings) if field == "inputs" else []
+            why = "columns recorded" + (f"; NaN throughout, left out: {', '.join(empty)}" if empty else "")
+            found = {n: quantity(n, u, field) for n, u in zip(names, units, strict=True) if n not in empty}
+            guess(field, found, why)
         elif isinstance(fields[field], Mapping):
             fields[field] = _with_units(fields[field], dict(zip(names, units, strict=True)), field)
     if "roles" not in fields and isinstance(fields["state"], Mapping):
-        roles = _roles(fields["state"], fields["inputs"] if isinstance(fields["inputs"], Mapping) else {})
-        guess("roles", roles, "from the names of the columns" if roles else "no known names")
+        roles = roles_of(fields["state"], fields["inputs"] if isinstance(fields["inputs"], Mapping) else {})
+        why = f"by name: {in_words(roles)}" if roles else "no known names"
+        if "speed" not in roles and (moving := _moves_as(recordings, fields["state"], roles)) is not None:
+            roles["speed"] = moving
+            why += f"; {moving} as speed, because the position moves by it"
+        guess("roles", roles, why)
     if "frame" not in fields and isinstance(fields["roles"], Mapping):
         body = {"position", "heading"} <= fields["roles"].keys()
         why = "position and heading are known" if body else "no position and heading are named"
@@ -107,9 +109,23 @@ def _same_columns(field: str, recordings: list[Recording]) -> None:
             )
 
 
-def _quantity(name: str, unit: str, field: str) -> Any:
-    angle = field == "state" and unit == "rad" and _ANGLE.search(name) and not _RATE.search(name)
-    return {"unit": unit, "angle": True} if angle else unit
+def _never_recorded(recordings: list[Recording]) -> list[str]:
+    """Inputs that are NaN in all rows."""
+    missing = np.isnan(np.concatenate([recording.u for recording in recordings])).all(axis=0)
+    return [name for i, name in enumerate(recordings[0].input_names) if missing[i]]
+
+
+def _moves_as(recordings: list[Recording], state: Mapping[str, Any], roles: Mapping[str, Any]) -> str | None:
+    """The state without role by which the positions move, if it is one."""
+    there = set(recordings[0].state_names).intersection(*(recording.state_names for recording in recordings))
+    if not there.issuperset(roles.get("position", [""])):
+        return None
+    found = []
+    for name in may_be_speeds({n: spec for n, spec in state.items() if n in there}, roles):
+        ratio = agreement(recordings, roles["position"], name)
+        if ratio is not None and 1 / _ALIKE <= ratio <= _ALIKE:
+            found.append(name)
+    return found[0] if len(found) == 1 else None
 
 
 def _with_units(specs: Mapping[str, Any], units: Mapping[str, str], field: str) -> dict[str, Any]:
@@ -117,27 +133,8 @@ def _with_units(specs: Mapping[str, Any], units: Mapping[str, str], field: str) 
     filled = {}
     for name, spec in specs.items():
         if spec is None and name in units:
-            spec = _quantity(name, units[name], field)
+            spec = quantity(name, units[name], field)
         elif isinstance(spec, Mapping) and "unit" not in spec and name in units:
             spec = {"unit": units[name], **spec}
         filled[name] = spec
     return filled
-
-
-def _roles(state: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
-    names = {name.lower(): name for name in state}
-    angles = [n for n, spec in state.items() if isinstance(spec, Mapping) and spec.get("angle")]
-    roles: dict[str, Any] = {}
-    for pair in _POSITIONS:
-        if set(pair) <= names.keys():
-            roles["position"] = [names[pair[0]], names[pair[1]]]
-            break
-    for role, known in (("speed", _SPEEDS), ("lateral_speed", _LATERAL), ("yaw_rate", _YAW_RATES)):
-        if found := [names[n] for n in known if n in names]:
-            roles[role] = found[0]
-    headings = [names[n] for n in _HEADINGS if n in names and names[n] in angles]
-    if headings or len(angles) == 1:
-        roles["heading"] = (headings or angles)[0]
-    if steering := [name for name in inputs if _STEERING.search(name)]:
-        roles["steering"] = steering[0]
-    return roles

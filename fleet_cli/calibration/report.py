@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fleet_cli.calibration.calibrate import Calibration, HeldOut
+from fleet_cli.calibration.calibrate import Calibration
+from fleet_cli.calibration.held_out import HeldOut
 from fleet_cli.calibration.picture import draw_estimates
 from fleet_cli.evaluation import MethodFigures, RunFigures, as_json
 from fleet_cli.evaluation.picture import draw_evaluation
@@ -131,8 +132,9 @@ def _steps(held: HeldOut) -> list[str]:
     profile = held.profile
     unit = profile.state[profile.state_names[profile.position[0]]].unit
     lines = [
-        f"| step | method | inside | worst run | mean area {unit}² | at {100 * profile.confidence:g} % | misses |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        f"| step | method | inside | worst run | mean area {unit}² | median area {unit}² | at "
+        f"{100 * profile.confidence:g} % | misses |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in zip(*(method.steps for method in held.figures.values()), strict=True):
         for name, step in zip(held.figures, row, strict=True):
@@ -149,6 +151,7 @@ def _steps(held: HeldOut) -> list[str]:
                 _share(step.inside, step.checked),
                 worst,
                 number(step.area_mean),
+                number(step.area_median),
                 equal,
                 verdict,
             )

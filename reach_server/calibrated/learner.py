@@ -41,7 +41,7 @@ from reach_server.windows import Ints, Window
 REFIT_EVERY = 10
 #: Data per unknown below which a model is not worth publishing from.
 DATA_PER_UNKNOWN = 2
-#: Scores that must be expected beyond the margin in a full window.
+#: Scores of a full window that must lie beyond the margin.
 LEAST_BEYOND = 3
 
 Slots = NDArray[np.intp]
@@ -78,6 +78,20 @@ class Boxes:
 def least_scores(confidence: float) -> int:
     """Number of scores below which the rank statistic of this confidence does not exist."""
     least = int(np.ceil(confidence / (1 - confidence) - 1e-9))
+    return least
+
+
+def left_outside(window: int, confidence: float) -> int:
+    """How many of ``window`` scores lie beyond the margin: those above the ceil((W + 1) confidence)-th smallest."""
+    return max(window - int(np.ceil((window + 1) * confidence - 1e-9)), 0)
+
+
+def least_window(confidence: float) -> int:
+    """The shortest window that leaves ``LEAST_BEYOND`` scores beyond the margin: the least W with
+    (1 - confidence)(W + 1) ≥ ``LEAST_BEYOND`` + 1."""
+    least = max(int((LEAST_BEYOND + 1) / (1 - confidence)) - 2, 1)
+    while left_outside(least, confidence) < LEAST_BEYOND:
+        least += 1
     return least
 
 
@@ -122,12 +136,12 @@ class Calibrated:
         self.frozen = False
 
     def _check(self, profile: VehicleProfile) -> None:
-        beyond = (1 - profile.confidence) * profile.window
-        if beyond < LEAST_BEYOND * (1 - 1e-9):
+        beyond = left_outside(profile.window, profile.confidence)
+        if beyond < LEAST_BEYOND:
             raise UsageError(
-                f"confidence {profile.confidence:g} leaves {beyond:.3g} of the {profile.window} scores of a window "
+                f"confidence {profile.confidence:g} leaves {beyond} of the {profile.window} scores of a window "
                 f"outside the sets, too few to tell: at least {LEAST_BEYOND} are needed; make the window "
-                f"{int(np.ceil(LEAST_BEYOND / (1 - profile.confidence) - 1e-9))} or longer, or the confidence smaller"
+                f"{least_window(profile.confidence)} or longer, or the confidence smaller"
             )
         if self._room < self.least:
             raise UsageError(
@@ -139,7 +153,8 @@ class Calibrated:
 
     @property
     def resolved(self) -> int:
-        """Steps h whose margin rests on enough errors that do not overlap: 3 h expected beyond it in a full window."""
+        """Steps h whose margin rests on enough errors that do not overlap: of as many coming checks as the window is
+        long, 3 h are expected to miss."""
         return min(self._terms.horizon, int((1 - self._confidence) * self._span / LEAST_BEYOND + 1e-9))
 
     @property

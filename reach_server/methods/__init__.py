@@ -2,6 +2,7 @@
 
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import VehicleProfile
+from fleet_bus.messages.methods import METHODS
 from reach_server.methods.bounded import Bounded
 from reach_server.methods.conformal import Conformal
 from reach_server.methods.linear import Linear
@@ -9,9 +10,6 @@ from reach_server.methods.method import Forecast, Method
 from reach_server.windows import Window
 
 __all__ = ["METHODS", "Forecast", "Method", "method_of"]
-
-METHODS = ("calibrated", "set_membership", "residual_hull", "paper", "lti")
-"""Names of the methods; ``default`` chooses one of the first two."""
 
 
 def method_of(

@@ -26,6 +26,7 @@ from fleet_bus.messages import (
     VehicleProfile,
     parse_profile,
 )
+from fleet_bus.messages.methods import FROM_LIMITS, METHODS, TUBE_METHODS
 from fleet_bus.messages.state import MAX_BYTES as STATE_BYTES
 from fleet_bus.messages.tube import MAX_BYTES as TUBE_BYTES
 from fleet_bus.schemas import STATE_BODY, STATE_HEADER, TUBE_FIELDS
@@ -176,9 +177,25 @@ def test_the_fields_of_a_tube_are_on_the_wire_page() -> None:
             shape = ", ".join(field.schema["x-shape"])
             assert kind.startswith(f"bin {field.schema['x-dtype'].removeprefix('<')} ({shape})"), field.key
     assert all(f"`{label}`" in below for label in Label)
+    (method,) = re.findall(r"^\| `m` \| method \| str \| (.+) \|$", below, re.M)
+    assert re.findall(r"`(\w+)`", method) == list(TUBE_METHODS)
     assert len(Cut.__dataclass_fields__) == 4
     assert len(Audit.__dataclass_fields__) == 6
     assert len(ReachTube.__dataclass_fields__) == len(TUBE_FIELDS)
+
+
+def test_every_list_of_methods_is_that_of_the_program() -> None:
+    """What a profile may ask for, what the command takes, what the server makes: one list, in one order."""
+    assert (*METHODS, FROM_LIMITS) == TUBE_METHODS
+    asked = ["default", *METHODS]
+    profile = section(page("reference/wire.md"), "VehicleProfile")
+    (row,) = re.findall(r"^\| `method` \| ([^|]+) \| `default` \|", profile, re.M)
+    assert re.findall(r"`(\w+)`", row) == asked
+    assert VehicleProfile.json_schema()["properties"]["method"]["enum"] == asked
+    below = section(page("reference/command.md"), "fleet evaluate")
+    (row,) = re.findall(r"^\| `--method` \| [^|]+ \| [^|:]+: ([^|]+) \|", below, re.M)
+    assert re.findall(r"`(\w+)`", row) == asked
+    assert all(f"`{method}`" in page("concepts/guarantees.md") for method in METHODS)
 
 
 def test_the_labels_are_explained() -> None:

@@ -4,6 +4,7 @@ import base64
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import msgpack
 import numpy as np
 import pytest
 
+from fleet_bus.errors import MessageError
 from fleet_bus.messages import ReachTube, StateSample
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.methods import METHODS
 from fleet_bus.schemas import DIALECT, STATE_BODY, STATE_HEADER, TUBE_FIELDS, generate, shipped
 from tests.fleet_bus.messages.examples import a_sample, a_tube, messages
 
@@ -100,6 +103,21 @@ def test_the_bins_of_a_tube_are_what_its_table_says() -> None:
             shape = [sizes[s] for s in field.schema["x-shape"]]
             found = np.frombuffer(fields[field.key], field.schema["x-dtype"]).reshape(shape)
             assert np.array_equal(found, getattr(tube, field.name)), field.name
+
+
+@pytest.mark.parametrize("method", [*METHODS, "limits"])
+def test_schema_and_decoder_of_a_tube_take_every_method_there_is(method: str) -> None:
+    payload = replace(a_tube(), method=method).encode()
+    jsonschema.Draft202012Validator(schema_of("ReachTube")).validate(as_json(msgpack.unpackb(payload)))
+    assert ReachTube.decode(payload).method == method
+
+
+def test_schema_and_decoder_of_a_tube_refuse_another_method() -> None:
+    payload = replace(a_tube(), method="magic").encode()
+    assert not jsonschema.Draft202012Validator(schema_of("ReachTube")).is_valid(as_json(msgpack.unpackb(payload)))
+    with pytest.raises(MessageError, match="method 'magic' is none of") as refused:
+        ReachTube.decode(payload)
+    assert refused.value.reason == "range"
 
 
 def test_the_binary_messages_have_one_schema_each() -> None:

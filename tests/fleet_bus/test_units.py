@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_bus.units import seconds
+from fleet_bus.units import canonical, seconds, size
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,53 @@ def test_anything_gives_a_finite_number_or_a_value_error(value: object) -> None:
     except ValueError as error:
         refused = str(error)
     assert len(refused) < 200
+
+
+SAME = (
+    ("m/s^2", "m/s2", "m/s²", "m/s**2", "m s^-2", "m·s⁻²", "m*s^-2", "meters/sec^2", "m / s^2", "m/s/s"),
+    ("m/s", "mps", "meter/second", "m s-1", "m*s**-1", "Metres/Sec"),
+    ("rad", "radian", "Radians"),
+    ("rad/s", "rads/sec", "rad s^-1", "rad·s⁻¹"),
+    ("deg", "°", "degrees"),
+    ("km/h", "kph", "kmh", "km/hr"),
+    ("1", "-", "", "none"),
+    ("%",),
+    ("1/s", "s^-1", "s-1"),
+    ("V", "volts?"),
+    ("mV",), ("MV",), ("mm",), ("Mm",), ("m",), ("ms",), ("s",),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("spellings", SAME, ids=lambda spellings: spellings[0])
+def test_spellings_of_one_unit_are_one_unit_and_no_other(spellings: tuple[str, ...]) -> None:
+    ours = {canonical(text) for text in spellings}
+    assert len(ours) == (2 if "volts?" in spellings else 1)
+    others = {canonical(text) for group in SAME if group is not spellings for text in group}
+    assert not ours & others
+    assert {canonical(text) for text in ours} == ours
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("m", 1.0),
+        ("km/h", 1 / 3.6),
+        ("mm/s", 1e-3),
+        ("deg/s", math.pi / 180),
+        ("1", 1.0),
+        ("m/s2", 1.0),
+        ("cm^2", 1e-4),
+    ],
+)
+def test_sizes_of_units(unit: str, expected: float) -> None:
+    assert size(unit) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["V", "%", "?", "m//s", "ticks", "km^999"])
+def test_sizes_of_other_units_are_not_known(unit: str) -> None:
+    assert size(unit) is None
+
+
+@given(st.text(max_size=20))
+def test_any_text_may_be_a_unit(text: str) -> None:
+    assert canonical(canonical(text)) == canonical(text)

@@ -1,17 +1,26 @@
 """fleet calibrate: from a recording to a profile that loads, with a report of held-out coverage."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
+import yaml
 from typer.testing import CliRunner, Result
 
 from fleet_bus.errors import FleetError, ProfileError, RecordingError, UsageError
 from fleet_bus.messages import load_profile, parse_profile
-from fleet_cli.calibration import Calibration, Request, as_yaml, calibrate
+from fleet_cli.calibration import Calibration, CalibrationError, Request, as_yaml, calibrate
+from fleet_cli.calibration.report import as_markdown
 from fleet_cli.main import app
+from fleet_cli.profile_files import profile_fields
+from fleet_cli.reports import number
 from tests.fleet_cli.wavy import wavy, write
+from vehicle_agent.recording import Recording
 
 SHORT = {"horizon": 2, "confidence": 0.9}
 
@@ -100,12 +109,137 @@ def test_a_plain_profile_without_roles() -> None:
         (300, {"state": {"z": "m"}}, FleetError, "no state column"),
         (300, {"state": {"x": "ft"}, "roles": {}}, FleetError, "'ft'"),
         (300, {"horizon": "long"}, ProfileError, "horizon"),
-        (300, {"input_lags": 32, "window": 300}, RecordingError, "coefficients"),
+        (300, {"input_lags": 32, "window": 399}, RecordingError, "coefficients"),
     ],
 )
 def test_what_cannot_be_is_told(samples: int, given: dict[str, object], error: type[Exception], said: str) -> None:
     with pytest.raises(error, match=said):
         calibrate(Request([wavy(samples)], given, "wavy"), quiet)
+
+
+@pytest.fixture(scope="module")
+def irregular() -> Recording:
+    """Intervals of 40 to 60 ms, every fourth of 140 to 200 ms."""
+    rng = np.random.default_rng(4)
+    rows = 1200
+    long = rng.choice([0.14, 0.15, 0.2], rows)
+    steps = np.where(rng.random(rows) < 0.25, long, rng.choice([0.04, 0.05, 0.05, 0.06], rows))
+    t = np.round(np.cumsum(steps), 2)
+    steering, speed = 0.3 * np.sin(0.4 * t), 1 + 0.3 * np.sin(0.2 * t)
+    yaw = np.cumsum(steps * speed * np.tan(steering) / 0.32)
+    place = np.column_stack([np.cumsum(steps * speed * np.cos(yaw)), np.cumsum(steps * speed * np.sin(yaw))])
+    return Recording(
+        t, np.column_stack([place, yaw, speed]), np.column_stack([steering, speed]), np.zeros(rows, np.int64),
+        ("x", "y", "yaw", "v"), ("m", "m", "rad", "m/s"), ("steering", "velocity"), ("rad", "m/s"), "log",
+    )  # fmt: skip
+
+
+def test_irregular_stamps_are_told_with_true_counts_and_options_that_there_are(irregular: Recording) -> None:
+    with pytest.raises(CalibrationError, match="too irregular") as refused:
+        calibrate(Request([irregular], {}, "log"), quiet)
+    text = str(refused.value)
+    profile = parse_profile(refused.value.fields)
+    off = int((np.abs(np.diff(irregular.t) / profile.sample_time - 1) > profile.tolerance).sum())
+    assert f"{off} of 1199 are more than {100 * profile.tolerance:g} % off 50 ms" in text
+    assert all(int(number) <= 1200 for number in re.findall(r"\d+", text))
+    assert "…" not in text
+    command: Any = typer.main.get_command(app)
+    options = {name for option in command.commands["calibrate"].params for name in option.opts}
+    assert set(re.findall(r"--[a-z-]+", text)) <= options
+
+
+def bad_recordings() -> dict[str, tuple[Recording, str]]:
+    """Recordings of which no calibration can be made, and what is said of them."""
+    one = wavy(300)
+    degrees = one.x.copy()
+    degrees[:, 2] = np.rad2deg(degrees[:, 2])
+    return {
+        "ms": (replace(one, t=1e3 * one.t), "divide t by 1e3"),
+        "ns": (replace(one, t=1.7e18 + 1e9 * one.t), "divide t by 1e9"),
+        "deg": (replace(one, x=degrees, state_units=("m", "m", "deg", "m/s")), "np.deg2rad"),
+        "no rad": (replace(one, x=degrees), "np.deg2rad"),
+        "short": (wavy(150), "at least 200 are needed"),
+    }
+
+
+@pytest.mark.parametrize("name", bad_recordings())
+def test_where_no_calibration_can_be_made_a_draft_of_the_profile_is_left(name: str, tmp_path: Path) -> None:
+    recording, said = bad_recordings()[name]
+    drive, output = write(recording, tmp_path / "log.npz"), tmp_path / "log.yaml"
+    done = fleet(str(drive), "-o", str(output))
+    assert isinstance(done.exception, UsageError)
+    assert said in str(done.exception)
+    assert f"a draft of the profile is in {output}: correct it, and calibrate again with --profile" in str(
+        done.exception
+    )
+    text = output.read_text(encoding="utf-8")
+    assert said.split()[-1] in text
+    fields = profile_fields(str(output))
+    # All but what the stamps of a recording that is not to be trusted in other respects would tell.
+    profile = parse_profile({"sample_time": 0.05, **fields})
+    assert profile.sample_time == 0.05
+    assert profile.state["yaw"].angle
+    assert (profile.roles.position, profile.roles.heading, profile.roles.speed) == (("x", "y"), "yaw", "v")
+    # The recording once corrected, the draft is what calibration goes on from.
+    sound = calibrate(Request([wavy(600)], {**SHORT, **fields, "horizon": 2}, "log", ("calibrated",)), quiet)
+    assert sound.profile.frame == "body"
+
+
+def test_a_draft_overwrites_no_profile(tmp_path: Path) -> None:
+    drive, output = write(wavy(150), tmp_path / "log.npz"), tmp_path / "log.yaml"
+    output.write_text("class: mine\n", encoding="utf-8")
+    done = fleet(str(drive), "--profile", str(output), "-o", str(output))
+    assert f"a draft of the profile is in {tmp_path / 'log.draft.yaml'}" in str(done.exception)
+    assert output.read_text(encoding="utf-8") == "class: mine\n"
+    assert profile_fields(str(tmp_path / "log.draft.yaml"))["class"] == "mine"
+
+
+def test_without_an_output_a_draft_is_printed(tmp_path: Path) -> None:
+    drive = str(write(wavy(150), tmp_path / "log.npz"))
+    done = fleet(drive)
+    assert "above is a draft of the profile" in str(done.exception)
+    assert yaml.safe_load(done.stdout)["class"] == "log"
+    quietly = fleet(drive, "--json", "-")
+    assert quietly.stdout == ""
+    assert "-o FILE keeps a draft" in str(quietly.exception)
+
+
+def test_a_given_profile_that_cannot_be_leaves_no_draft(tmp_path: Path) -> None:
+    drive, given, output = write(wavy(300), tmp_path / "a.npz"), tmp_path / "given.yaml", tmp_path / "out.yaml"
+    given.write_text("horizon: long\n", encoding="utf-8")
+    assert isinstance(fleet(str(drive), "--profile", str(given), "-o", str(output)).exception, ProfileError)
+    assert not output.exists()
+
+
+def test_progress_in_a_pipe_is_plain_lines_on_stderr(tmp_path: Path) -> None:
+    drive = str(write(wavy(400), tmp_path / "wavy.npz"))
+    short = tmp_path / "short.yaml"
+    short.write_text("horizon: 1\nconfidence: 0.9\n", encoding="utf-8")
+    done = fleet(drive, "--profile", str(short), "--method", "calibrated", "--json", "-")
+    lines = done.stderr.splitlines()
+    for name in ("timing", "measurement noise", "delay of the inputs", "margin 1", "calibrated"):
+        told = [
+            int(line.removeprefix(f"{name}: ").removesuffix(" %")) for line in lines if line.startswith(f"{name}: ")
+        ]
+        assert told == sorted(set(told))
+        assert told[-1] == 100
+    json.loads(done.stdout)
+
+
+def test_rates_below_the_stated_one_and_both_areas_are_in_the_report(found: Calibration) -> None:
+    held = found.held_out
+    low = [
+        name for name, method in held.figures.items()
+        if any(s.inside < 0.9 * s.checked for s in method.steps)
+        or any(i < 0.9 * c for run in method.runs for c, i in zip(run.checked, run.inside, strict=True))
+    ]  # fmt: skip
+    assert low
+    for name in low:
+        assert any(text.startswith(f"{name}: ") and "90 %" in text for text in found.warnings)
+    page = as_markdown(found, ["wavy.npz"], ())
+    assert "| mean area m² | median area m² |" in page
+    step = held.figures["calibrated"].steps[0]
+    assert f"| {number(step.area_mean)} | {number(step.area_median)} |" in page
 
 
 def test_an_unknown_method_is_told() -> None:

@@ -113,7 +113,9 @@ def test_what_is_given_stays() -> None:
 def test_names_of_other_fields() -> None:
     one = replace(wavy(300), state_names=("east", "north", "course", "w"), input_names=("delta", "gas"))
     fields, _ = complete({}, [one], "boat")
-    assert fields["roles"] == {"position": ["east", "north"], "heading": "course", "steering": "delta"}
+    assert fields["roles"] == {
+        "position": ["east", "north"], "heading": "course", "steering": "delta", "speed": "w",
+    }  # fmt: skip
     plain = replace(wavy(300), state_names=("a", "b", "c", "d"))
     fields, _ = complete({}, [plain], "thing")
     assert (fields["roles"], fields["frame"]) == ({"steering": "steering"}, "world")

@@ -42,7 +42,7 @@ def events_of(server: ReachServer, session: zenoh.Session, kind: EventKind) -> l
     with declare_recovering_subscriber(
         session, keys.ALL_EVENTS, lambda r: found.append(Event.decode(r.payload, r.encoding)), history=32
     ):
-        wait_until(lambda: any(event.kind == kind for event in found), 5.0)
+        wait_until(lambda: any(event.kind == kind for event in found), 60.0)
     return [event for event in found if event.kind == kind]
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import (
-    Assignment,
     EventKind,
     ScenarioDocument,
     StateBatch,
@@ -13,71 +12,20 @@ from fleet_bus.messages import (
     VehicleProfile,
     parse_profile,
 )
-from fleet_bus.rejections import Rejections
-from reach_server.fleet import INTERVAL_CHECK, KEPT_WITHOUT_PROFILE, Fleet, Outcome
+from reach_server.fleet import PROFILE_PATIENCE
 from reach_server.ingest import VehicleBatch
-from reach_server.results import EngineEvent, Tubes
-from tests.reach_server.drives import PROFILE, START, SVEA, Floats, history
-
-SMALL = PROFILE.model_copy(update={"window": 120})
-NOW = 200
-
-
-class Desk:
-    """A fleet, its counters, and samples of drives as they come from the bus."""
-
-    def __init__(self) -> None:
-        self.rejections = Rejections()
-        self.fleet = Fleet(self.rejections)
-
-    @property
-    def refused(self) -> dict[str, int]:
-        return self.rejections.snapshot()
-
-    def states(
-        self,
-        vehicle: str,
-        start: int,
-        stop: int,
-        *,
-        planned: bool = False,
-        dt_ns: int = SVEA.dt_ns,
-        flags: StateFlag = StateFlag.NONE,
-        x: Floats | None = None,
-        u: Floats | None = None,
-        bound: Floats | None = None,
-    ) -> VehicleBatch:
-        k, drive = np.arange(start, stop), history(0)
-        plan = np.stack([drive.inputs[i + 1 : i + 10] for i in k]) if planned else None
-        states = StateBatch(
-            k,
-            np.ones(len(k), dtype=np.uint64),
-            k.astype(np.uint64),
-            START + k * dt_ns,
-            np.full(len(k), int(flags), dtype=np.uint32),
-            drive.measured[k] if x is None else x,
-            drive.inputs[k] if u is None else u,
-            bound,
-            plan,
-            None if plan is None else np.zeros((len(k), 2)),
-        )
-        return VehicleBatch((vehicle,) * len(k), states)
-
-    def process(self, *batches: VehicleBatch) -> Outcome:
-        return self.fleet.process(list(batches))
-
-    def tubes(self, *batches: VehicleBatch) -> dict[str, Tubes]:
-        return {v: tubes for _, tubes in self.process(*batches).tubes for v in tubes.vehicles}
-
-
-def kinds(events: list[EngineEvent]) -> list[EventKind]:
-    return [event.kind for event in events]
+from reach_server.results import EngineEvent
+from reach_server.vehicle import MOST_KEPT
+from tests.reach_server.drives import START, SVEA
+from tests.reach_server.fleet_desk import NOW, SMALL, Desk, assignment, document, kinds
 
 
 def test_a_vehicle_without_a_profile_is_told_once_and_served_when_it_comes() -> None:
     desk = Desk()
-    assert not desk.process(desk.states("a", 0, INTERVAL_CHECK)).events
-    outcome = desk.process(desk.states("a", INTERVAL_CHECK, 100))
+    assert not desk.process(desk.states("a", 0, 90), now=0.0).events
+    # Under load a profile comes late; it is missing when samples have gone on without it for long.
+    assert not desk.process(desk.states("a", 90, 99), now=PROFILE_PATIENCE).events
+    outcome = desk.process(desk.states("a", 99, 100), now=PROFILE_PATIENCE + 0.1)
     assert kinds(outcome.events) == [EventKind.UNKNOWN_VEHICLE]
     assert "fleet/a/profile" in outcome.events[0].message
     assert not desk.process(desk.states("a", 100, NOW)).events
@@ -92,7 +40,7 @@ def test_a_vehicle_without_a_profile_is_told_once_and_served_when_it_comes() -> 
 def test_samples_without_a_profile_are_kept_up_to_a_limit() -> None:
     desk = Desk()
     count = 400
-    for start in range(0, KEPT_WITHOUT_PROFILE + 2 * count, count):
+    for start in range(0, MOST_KEPT + 2 * count, count):
         x = np.zeros((count, 4))
         desk.process(
             VehicleBatch(
@@ -175,7 +123,9 @@ def test_a_profile_that_changes_in_flight_starts_an_empty_window_of_another_clas
     desk.process(desk.states("a", 0, NOW), desk.states("b", 0, NOW))
     assert not desk.fleet.set_profile("a", SMALL)
     assert len(desk.fleet.window_keys("a")) > 120
-    desk.fleet.set_profile("a", other)
+    (told,) = desk.fleet.set_profile("a", other)
+    assert told.kind == EventKind.PROFILE_CHANGED
+    assert "window: 120 → 130" in told.message
     assert desk.fleet.profile_of("a") == other
     assert desk.fleet.window_keys("a") == []
     assert len(desk.fleet.engines) == 2
@@ -244,23 +194,8 @@ def test_the_first_sample_of_the_newest_epoch_is_remembered() -> None:
     assert desk.fleet.first_sample("a") == (1, 3)
     later = desk.states("a", 9, 10)
     later.states.epoch[:] = 2
-    desk.process(later)
+    desk.process(later, now=START / 1e9 + 60)
     assert desk.fleet.first_sample("a") == (2, 9)
-
-
-def document(half: float, *, name: str = "box", version: int = 1) -> ScenarioDocument:
-    here = history(0).truth[NOW, :2]
-    low, high = here - half, here + half
-    text = (
-        f"scenario: {name}\nversion: {version}\nstate: {{x1: m, x2: m}}\ntime: {{zero: on_start, semantics: sampled}}\n"
-        f"regions: {{P: {{box: {{x1: [{low[0]}, {high[0]}], x2: [{low[1]}, {high[1]}]}}}}}}\n"
-        "assume: always[0:100 s](P)\n"
-    )
-    return ScenarioDocument(scenario=name, version=version, text=text)
-
-
-def assignment(active: bool = True) -> Assignment:
-    return Assignment(scenario="box", vehicle="a", time_zero=START + NOW * SVEA.dt_ns, active=active)
 
 
 @pytest.mark.parametrize("order", ["profile", "scenario", "assignment"])

@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Any, cast
+from unittest import mock
 
 import msgpack
 import numpy as np
@@ -21,12 +22,15 @@ from fleet_bus.messages import (
     Event,
     ReachTube,
     ScenarioDocument,
+    ServiceStatus,
     StateSample,
     VehicleProfile,
     parse_profile,
 )
 from fleet_bus.messages.state import ENCODING
 from fleet_bus.pubsub import CachedPublisher, Received
+from reach_server import server as server_module
+from reach_server.other_servers import OtherServers
 from reach_server.server import ReachServer
 from tests.reach_server.drives import PROFILE, START, SVEA, World
 from tests.reach_server.hostile import Hostile
@@ -53,21 +57,40 @@ class Sink:
         """Nothing is open."""
 
 
+class Clock:
+    """Stands in for the module ``time``: it goes on by a sample time with each round."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    perf_counter = monotonic
+
+    def time_ns(self) -> int:
+        return START + int(self.now * 1e9)
+
+
 class Bench(ReachServer):
     """A reach server whose messages are handed over and whose output is kept; all that knows its inside is here."""
 
     def __init__(self) -> None:
-        super().__init__("bench")
+        self.clock = Clock()
         self.puts: list[tuple[str, bytes]] = []
+        super().__init__("bench")
+        self._others = OtherServers("session of the bench", "bench")
+        self._own_events = cast("CachedPublisher", Sink(keys.service_event("reach", "bench"), self.puts))
+        self._rounds = 0
 
     def _publisher(self, known: dict[str, CachedPublisher], key: str, encoding: str, cache: int) -> CachedPublisher:
         return known.setdefault(key, cast("CachedPublisher", Sink(key, self.puts)))
 
-    def _fetch(self, vehicle: str) -> None:
+    def _fetch_missing(self, now: float) -> None:
         """Nobody has a cache."""
 
     def round(self, received: Iterable[Received]) -> list[tuple[str, bytes]]:
-        """Hand messages over and let the server do one round; what it puts, and its status."""
+        """Hand messages over and let the server do one round; what it puts."""
         for message in received:
             if message.key.endswith("/state"):
                 self.ingest.put(message)
@@ -76,8 +99,13 @@ class Bench(ReachServer):
             else:
                 self._control.append(message)
         self.puts.clear()
-        self.tick()
-        self.status().encode()
+        self._rounds += 1
+        self.clock.now += SVEA.dt
+        with mock.patch.object(server_module, "time", self.clock):
+            self.tick()
+            if self._rounds % 20 == 0:
+                self._look_around(self.clock.now)
+            ServiceStatus.decode(self.status().encode())
         return list(self.puts)
 
 

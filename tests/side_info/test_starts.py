@@ -3,7 +3,8 @@
 import pytest
 
 from fleet_bus.messages import StateFlag
-from side_info.starts import VehicleStart
+from fleet_bus.writers import Source
+from side_info.starts import LEAVE, PATIENCE, VehicleStart
 
 NEW, HISTORY, NONE = StateFlag.NEW_TRAJECTORY, StateFlag.HISTORY, StateFlag.NONE
 
@@ -26,3 +27,26 @@ def test_time_zero(samples: list[tuple[int, StateFlag]], time_zero: int | None) 
     start = VehicleStart()
     start.see((t, int(flags)) for t, flags in samples)
     assert start.time_zero == time_zero
+
+
+FIRST, SECOND = Source("a", 1), Source("b", 2)
+
+
+def test_what_another_source_puts_moves_no_time_zero() -> None:
+    start = VehicleStart()
+    assert start.take_in(FIRST, [(100, NEW)], 0.0)
+    assert not start.take_in(SECOND, [(150, NEW)], 0.1)
+    assert start.take_in(FIRST, [(200, NONE)], 0.2)
+    assert not start.elapse(PATIENCE + 1.0)
+    assert start.take_in(FIRST, [(300, NONE)], LEAVE + 1.0)
+    assert (start.time_zero, start.held) == (100, [])
+
+
+def test_an_agent_that_follows_another_begins_anew_with_what_was_held() -> None:
+    start = VehicleStart()
+    start.take_in(FIRST, [(100, NEW)], 0.0)
+    assert not start.take_in(SECOND, [(500, NEW), (550, NONE)], 0.5)
+    assert not start.elapse(PATIENCE)
+    assert start.elapse(PATIENCE + 0.1)
+    assert start.time_zero == 500
+    assert start.take_in(SECOND, [(600, NONE)], PATIENCE + 0.2)

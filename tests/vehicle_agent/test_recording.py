@@ -69,6 +69,63 @@ def test_select_puts_columns_in_the_order_of_the_profile(tmp_path: Path) -> None
     assert selected.state_units == ("rad", "m")
 
 
+def test_spellings_of_one_unit_are_one_unit(tmp_path: Path) -> None:
+    """What is written is kept as it is; only other units are refused."""
+    recording = load_recording(write(tmp_path / "r.npz", x_units=np.array(["m/s2", "rad/s"])))
+    selected = recording.select(profile_of({"x": "m/s^2", "yaw": "rad s^-1"}, {"steering": "radians"}))
+    assert (selected.state_units, selected.input_units) == (("m/s2", "rad/s"), ("rad",))
+    with pytest.raises(RecordingError, match="'x' is in 'm/s2', the profile says 'm/s'"):
+        recording.select(profile_of({"x": "m/s"}, {}))
+
+
+T = 0.05 * np.arange(40)
+WELL: dict[str, Any] = {
+    "t": T, "x": np.column_stack([T, T**2, 0.1 * T, np.ones(40)]), "u": np.ones((40, 1)), "seg": np.zeros(40, int),
+    "x_names": np.array(["x", "y", "yaw", "v"]), "x_units": np.array(["m", "m", "rad", "m/s"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"x": np.asfortranarray(WELL["x"])},
+        {"t": T.astype(">f8"), "x": WELL["x"].astype(">f4"), "seg": np.zeros(40, ">i2")},
+        {"u": np.full((40, 1), np.nan)},
+        {"u": np.zeros((40, 0)), "u_names": np.zeros(0, "U1"), "u_units": np.zeros(0, "U1")},
+        {"u": np.zeros((40, 0)), "u_names": np.array([]), "u_units": np.array([])},
+        {"t": 1.7e9 + T},
+        {"t": (1.7e18 + 1e9 * T).astype(np.int64)},
+    ],
+    ids=["fortran", "big endian", "inputs not known", "no inputs", "no inputs, no texts", "epoch", "integers"],
+)
+def test_arrays_of_other_programs_are_read_as_what_they_are(tmp_path: Path, changes: dict[str, Any]) -> None:
+    recording = load_recording(write(tmp_path / "r.npz", **{**WELL, **changes}))
+    np.testing.assert_array_equal(recording.t, np.asarray(changes.get("t", T), dtype=np.float64))
+    np.testing.assert_array_equal(recording.x, np.asarray(changes.get("x", WELL["x"]), dtype=np.float64))
+    assert recording.t.dtype.isnative
+    assert recording.x.flags["C_CONTIGUOUS"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"t": (1.7e9 + T).astype(np.float32)}, "within one segment; it must increase"),
+        ({"t": np.r_[T[:9], T[8], T[10:]]}, "at row 9, within one segment"),
+        ({"t": np.r_[T[:20], T[20:] - 1]}, "at row 20, within one segment"),
+        ({"x": np.where(np.arange(40)[:, None] == 7, np.nan, WELL["x"])}, "row 7 holds NaN"),
+        ({"x": WELL["x"].astype(object)}, "cannot be read as NPZ"),
+        ({"t": np.datetime64("2026-01-01") + (1e9 * T).astype("timedelta64[ns]")}, "t holds datetime64"),
+        ({"seg": np.r_[np.zeros(15, int), np.ones(10, int), np.zeros(15, int)]}, "do not stand together"),
+    ],
+    ids=["float32 epoch", "duplicate stamp", "step back", "nan state", "objects", "datetime64", "segments apart"],
+)
+def test_arrays_that_cannot_be_a_drive_are_refused_in_words(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message):
+        load_recording(write(tmp_path / "r.npz", **{**WELL, **changes}))
+
+
 @pytest.mark.parametrize(
     ("states", "inputs", "message"),
     [

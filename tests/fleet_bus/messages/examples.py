@@ -30,6 +30,7 @@ from fleet_bus.messages import (
 )
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.methods import TUBE_METHODS
 from fleet_bus.messages.ranges import Range
 
 T0 = 1_700_000_000_000_000_000
@@ -94,7 +95,7 @@ def tubes(draw: st.DrawFn) -> ReachTube:
         draw(npst.arrays(np.int64, (h,), elements=whole(ranges.AHEAD))),
         tuple(draw(st.lists(texts, min_size=n, max_size=n))),
         (draw(index), draw(index)),
-        draw(texts),
+        draw(st.sampled_from(TUBE_METHODS)),
         draw(st.sampled_from(Label)),
         draw(arrays((h, n), double)),
         draw(arrays((h, n, g), single)),

@@ -118,6 +118,7 @@ def bins(count: int, value: float = 0.0, dtype: str = "<f8") -> bytes:
         ({"ct": INF}, "not_finite"),
         ({"ct": "fast"}, "fields"),
         ({"m": None}, "fields"),
+        ({"m": "magic"}, "range"),
     ],
 )
 def test_each_refusal_has_its_reason(changes: dict[str, Any], reason: str) -> None:

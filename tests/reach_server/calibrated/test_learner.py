@@ -1,6 +1,7 @@
 """Calibrated sets in a stream: what is predicted, how it is scored, what must not change it."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from fleet_bus.errors import UsageError
 from fleet_bus.messages import VehicleProfile
 from reach_server.calibrated import Boxes, Calibrated
+from reach_server.calibrated.learner import LEAST_BEYOND, least_window, left_outside
+from reach_server.calibrated.scores import rank_from_top, rank_statistic
 from reach_server.regression import Layout
 from reach_server.windows import Window
 from tests.reach_server.calibrated.streams import (
@@ -270,12 +273,33 @@ def test_what_the_window_cannot_resolve_is_refused() -> None:
     def models(profile: VehicleProfile) -> Calibrated:
         return Calibrated(profile, Layout.of(profile), Window(profile), profile.horizon)
 
-    with pytest.raises(UsageError, match=r"leaves 2 of the 200 scores .* make the window 300 or longer"):
+    with pytest.raises(UsageError, match=r"leaves 1 of the 200 scores .* make the window 399 or longer"):
         models(PLAIN.model_copy(update={"confidence": 0.99}))
-    assert models(PLAIN.model_copy(update={"confidence": 0.99, "window": 300})).resolved == 1
+    for window in (300, 398):
+        with pytest.raises(UsageError, match=rf"leaves 2 of the {window} scores .* make the window 399 or longer"):
+            models(PLAIN.model_copy(update={"confidence": 0.99, "window": window}))
+    assert models(PLAIN.model_copy(update={"confidence": 0.99, "window": 399})).resolved == 1
     assert models(PLAIN.model_copy(update={"confidence": 0.9, "window": 90})).resolved == 3
     with pytest.raises(UsageError, match=r"needs 104 data, there is room for \d+: make the window \d+ or longer"):
         models(CAR.model_copy(update={"window": 80, "confidence": 0.8, "input_lags": 9}))
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.8, 0.9, 0.95, 0.97, 0.99, 0.997, 0.999, 0.9999, 1 - 1e-6])
+def test_the_least_window_is_the_first_that_leaves_three_scores_beyond_the_margin(confidence: float) -> None:
+    """The rank itself decides, in exact arithmetic for the decimal that was written and as the kernel counts it."""
+    written = Fraction(str(confidence))
+    first = least_window(confidence)
+    for window in (first - 1, first):
+        beyond = window - math.ceil((window + 1) * written)
+        assert left_outside(window, confidence) == beyond == rank_from_top(window, confidence) - 1
+        assert (beyond >= LEAST_BEYOND) == (window == first) == ((1 - written) * (window + 1) >= 4)
+
+
+def test_of_as_many_scores_as_the_window_holds_the_stated_number_lies_beyond_the_margin() -> None:
+    scores = np.random.default_rng(5).permutation(399).astype(np.float32)[:, None]
+    for window, beyond in ((300, 2), (398, 2), (399, 3)):
+        held = scores[:window]
+        assert int((held > rank_statistic(held, window, 0, 0.99)).sum()) == beyond == left_outside(window, 0.99)
 
 
 def test_a_model_of_later_inputs_wants_a_plan() -> None:
