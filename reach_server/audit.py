@@ -60,9 +60,7 @@ def inside(
         generators = stack_columns(generators, measurement)
         none = np.zeros((*matrix.shape[:2], measurement.shape[1]))
         matrix = np.concatenate([matrix, none], axis=2)
-    point = y.copy()
-    for i in angles:
-        point[:, i] = predicted.center[:, i] + wrap(y[:, i] - predicted.center[:, i])
+    point = _turned(predicted, y, angles)
     found = membership.contains(predicted.center, generators, matrix, predicted.offset, point)
     missed = np.flatnonzero(~found)
     excess = np.zeros(len(y))
@@ -72,16 +70,36 @@ def inside(
     return found, excess
 
 
+def times_as_far(predicted: FactorSet, measurement: Floats, y: Floats, angles: tuple[int, ...]) -> Floats:
+    """How many times as far from the center of its set each measured state lies as the set enlarged by ``measurement``
+    reaches (B,), in the component in which that is most; arguments as for ``inside``. Infinite where the set is flat.
+    """
+    half = np.abs(predicted.generators).sum(axis=-1) + np.abs(measurement).sum(axis=-1)
+    off = np.abs(_turned(predicted, y, angles) - predicted.center)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.asarray(np.where(off > 0, off / half, 0.0).max(axis=-1))
+
+
+def _turned(predicted: FactorSet, y: Floats, angles: tuple[int, ...]) -> Floats:
+    """The states ``y`` (B, n), angles in the turn next to the center."""
+    point = y.copy()
+    for i in angles:
+        point[:, i] = predicted.center[:, i] + wrap(y[:, i] - predicted.center[:, i])
+    return point
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
     """Predictions whose sample has come, one a vehicle: ``row`` (C,) of the batch and ``slot`` (C,); ``inside`` (C,)
-    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) the same without cuts."""
+    and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) the same without cuts; ``times_free``
+    (C,) as ``times_as_far`` of missed states without cuts, else 0."""
 
     row: NDArray[np.intp]
     slot: NDArray[np.intp]
     inside: NDArray[np.bool_]
     excess: Floats
     inside_free: NDArray[np.bool_]
+    times_free: Floats
 
 
 class _Sets:
@@ -164,17 +182,18 @@ class Predictions:
         slots = batch.vehicle[rows]
         if not len(rows):
             none = np.zeros(0, dtype=bool)
-            return Checks(rows, slots, none, np.zeros(0), none)
+            return Checks(rows, slots, none, np.zeros(0), none, np.zeros(0))
         self._waits[slots], self._met[slots] = False, True
         held, excess = inside(self._cut.of(slots), measurement, batch.x[rows], angles)
-        free = held.copy()
+        free, times = held.copy(), np.zeros(len(rows))
         missed = np.flatnonzero(~held)
         if len(missed):
             whole = self._free.of(slots[missed])
             free[missed], beyond = inside(whole, measurement, batch.x[rows[missed]], angles)
+            times[missed] = times_as_far(whole, measurement, batch.x[rows[missed]], angles)
             off = batch.t[rows[missed]] != self._t[slots[missed]]
             held[missed[off]], excess[missed[off]] = free[missed[off]], beyond[off]
-        return Checks(rows, slots, held, excess, free)
+        return Checks(rows, slots, held, excess, free, times)
 
     def _awaited(self, batch: SampleBatch, slack: float) -> NDArray[np.intp]:
         """Rows of the samples that predictions wait for, one a vehicle."""

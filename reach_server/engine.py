@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fleet_bus.messages import Audit, EventKind, StateFlag, VehicleProfile
 from fleet_bus.messages.methods import FROM_LIMITS
+from reach_server import notices, ring
 from reach_server.assignments import Assignments, Instants
 from reach_server.branching import branching
 from reach_server.factor_sets import FactorSet
@@ -68,7 +69,7 @@ class Engine:
             # Compiles on the first run after an installation, better here than in the middle of a round.
             support.warm_up()
         self._slots: dict[str, int] = {}
-        #: Vehicles of which the data has excluded the stated bounds at some time.
+        #: Vehicles of which the data has excluded fitted bounds at some time.
         self._excluded: set[int] = set()
         self._names: list[str] = []
         #: Slots of vehicles that were removed.
@@ -76,7 +77,8 @@ class Engine:
         self._assignments = self._new_assignments()
         self._plans = self._new_plans()
         self._labels = Labels(profile, self.method, self._method.lipschitz, self._method.notes)
-        self._record = Record(0.0 if self._labels.certain else 1.0 - profile.confidence)
+        self._record = Record(0.0 if self._labels.certain else 1.0 - profile.confidence, self.window.size)
+        self._leaps = notices.Leaps()
 
     def _new_assignments(self) -> Assignments:
         received = self._method.bounds.measurement
@@ -146,6 +148,7 @@ class Engine:
         self._method.reset(slot)
         self._record.reset(slot)
         self._excluded.discard(slot)
+        self._leaps.forget(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
         """Cut the tubes of a vehicle by a scenario from now on.
@@ -174,16 +177,16 @@ class Engine:
 
     def append(self, batch: SampleBatch) -> tuple[Appended, tuple[EngineEvent, ...]]:
         """Store samples without computing tubes; checks the predictions that waited for them."""
-        events = self._check(batch)
+        appended = self.window.append(batch)
+        events = self._check(batch, appended)
+        stored = appended.stored_rows
         recorded = batch.flags & int(StateFlag.HISTORY) != 0
-        begins = ~recorded & ((batch.flags & int(StateFlag.NEW_TRAJECTORY) != 0) | (batch.seq == 0))
+        begins = stored & ~recorded & ((batch.flags & int(StateFlag.NEW_TRAJECTORY) != 0) | (batch.seq == 0))
         if begins.any():
             order = list(zip(batch.epoch[begins].tolist(), batch.seq[begins].tolist(), strict=True))
             self._assignments.began(batch.vehicle[begins], batch.t[begins], order)
-        appended = self.window.append(batch)
-        for slot, t in appended.jumped:
-            message = f"the pose of {self._names[slot]} jumped: a new trajectory begins"
-            events.append(EngineEvent(EventKind.JUMP, self._names[slot], t, message))
+        events += self._leaps.of(batch, appended, self._names, self.window)
+        events += notices.jumps(batch, appended, self._names, self._record)
         return appended, tuple(events)
 
     def step(self, batch: SampleBatch, known: KnownInputs | None = None) -> Tubes:
@@ -225,9 +228,12 @@ class Engine:
         newest = self.window.newest(held)[2]
 
         def block(wanted: Slots, length: int) -> Block:
-            samples = self.window.block(wanted, min(length, self.window.size))
-            # What was recorded before the vehicle started is no part of what scenarios speak about.
-            return replace(samples, valid=samples.valid & ~self.window.recorded(wanted, samples.t.shape[1]))
+            samples = self.window.block(wanted, min(length, self.window.size - 1))
+            # What was recorded before the vehicle started is no part of what scenarios speak about, and a pose that
+            # jumped there and back, or has only just jumped, says nothing about them.
+            length = samples.t.shape[1]
+            counts = ~(self.window.recorded(wanted, length) | self.window.stray(wanted, length))
+            return replace(samples, valid=samples.valid & counts)
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.
@@ -244,10 +250,13 @@ class Engine:
         served = Served(slots, epoch, seq, t, block, known)
         missing = self._method.missing(slots)
         no_model = missing > 0
+        # A tube begins at a sample that another one confirms: one that strays alone bears none.
+        strayed = ~self.window.followed(slots)
         reasons = [
             (~block.valid[:, -1], "no sample has come yet"),
             (flags & int(StateFlag.HISTORY) != 0, "the newest sample is recorded history"),
             *self._method.reasons(slots, block, known),
+            (strayed, "the newest sample does not follow the one before it: one more will tell"),
         ]
         waiting: dict[str, str] = {}
         for mask, reason in reversed(reasons):
@@ -256,7 +265,7 @@ class Engine:
             name = self._names[slots[row]]
             waiting[name] = too_few(self.method, int(missing[row]))
         refused = np.any([mask for mask, _ in reasons], axis=0)
-        limited = np.flatnonzero(no_model & ~reasons[0][0] & ~reasons[1][0])
+        limited = np.flatnonzero(no_model & ~reasons[0][0] & ~reasons[1][0] & ~strayed)
         return served.rows(np.flatnonzero(~(no_model | refused))), served.rows(limited), waiting
 
     def _tubes(self, served: Served, events: list[EngineEvent], waiting: dict[str, str]) -> Tubes:
@@ -284,7 +293,7 @@ class Engine:
         slots = served.slots.tolist()
         deficient = self._method.rank_deficient(served.slots)
         against = np.isin(served.slots, sorted(self._assignments.contradicted()))
-        wrong = self._record.falsified[served.slots] | reach.excluded
+        wrong = self._record.falsified[served.slots] | reach.excluded | self._record.restless(served.slots)
         if self._labels.audited:
             wrong = wrong | self._record.outside[served.slots]
         return Tubes(
@@ -388,38 +397,31 @@ class Engine:
             (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), (), (), (), (), (), waiting
         )
 
-    def _check(self, batch: SampleBatch) -> list[EngineEvent]:
-        """Hold the measurements against the one-step predictions that wait for them."""
+    def _check(self, batch: SampleBatch, appended: Appended) -> list[EngineEvent]:
+        """Hold the measurements that were stored against the one-step predictions that wait for them."""
         events: list[EngineEvent] = []
         slack = self.profile.tolerance * self.profile.sample_time_ns
         angles = tuple(np.flatnonzero(self.profile.angles).tolist())
-        checked = self._record.check(batch, slack, self.noise_of_claim, angles)
+        jumped = appended.fate & ring.JUMPED != 0
+        if appended.stored < len(jumped):
+            batch, jumped = batch.take(np.flatnonzero(appended.stored_rows)), jumped[appended.stored_rows]
+        checked = self._record.check(batch, slack, self.noise_of_claim, angles, jumped)
         for miss in checked.misses:
             if miss.side_information:
                 self._record.doubted[miss.slot] = miss.t
             elif self._labels.certain:
-                self._record.falsified[miss.slot] = True
-                message = (
-                    f"the measured state lay outside its predicted set by {miss.excess:.3g}: "
-                    "a stated bound is wrong, widen it"
-                )
-                vehicle = self._names[miss.slot]
-                events.append(EngineEvent(EventKind.MISS, vehicle, miss.t, message, {"excess": miss.excess}))
+                self._record.refute(miss.slot)
+                events.append(notices.miss(self._names[miss.slot], miss))
+        newest = notices.newest_stamps(batch, checked.restored)
+        events += [notices.restored(self._names[slot], newest[slot]) for slot in checked.restored.tolist()]
         moved = ((checked.left, "left its band"), (checked.returned, "is in its band again"))
         for slots, what in moved if self._labels.audited else ():
-            newest = dict(zip(batch.vehicle.tolist(), batch.t.tolist(), strict=True)) if len(slots) else {}
-            events += [self._coverage(slot, newest[slot], what) for slot in slots.tolist()]
+            newest, confidence = notices.newest_stamps(batch, slots), self.profile.confidence
+            events += [
+                notices.coverage(self._names[slot], newest[slot], what, self._record.audit(slot), confidence)
+                for slot in slots.tolist()
+            ]
         return events
-
-    def _coverage(self, slot: int, t: int, what: str) -> EngineEvent:
-        audit = self._record.audit(slot)
-        missed = audit.recent - audit.recent_inside
-        message = (
-            f"the rate of {self._names[slot]} {what}: {missed} of the newest {audit.recent} predictions missed, up to "
-            f"{audit.band} are explained by confidence {self.profile.confidence:g}"
-        )
-        details = {"missed": missed, "checked": audit.recent, "band": audit.band}
-        return EngineEvent(EventKind.COVERAGE, self._names[slot], t, message, details)
 
     def _contradictions(self, served: Served, reach: Reach) -> list[EngineEvent]:
         """Events where cuts left nothing, and where the data excludes the stated bounds."""
@@ -430,11 +432,12 @@ class Engine:
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
         for row in np.flatnonzero(reach.excluded).tolist():
             slot = int(served.slots[row])
-            if slot not in self._excluded and not self._record.falsified[slot]:
+            # A bound that is stated is wrong, if only for a time; one that was fitted is a hypothesis that fails here.
+            news = self._record.refute(slot) if self._labels.certain else slot not in self._excluded
+            if not self._labels.certain:
+                self._excluded.add(slot)
+            if news:
                 message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
                 vehicle, t = self._names[slot], int(served.t[row])
                 events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
-            self._excluded.add(slot)
-            # A bound that is stated is wrong for good; one that was fitted is a hypothesis that fails here.
-            self._record.falsified[slot] |= self._labels.certain
         return events

@@ -33,10 +33,11 @@ _log = structlog.get_logger(__name__)
 SETTLED: Final = (
     ("backwards", "range", "a stamp before that of an earlier sample"),
     ("stopped", "range", "a stamp equal to that of an earlier sample: is the clock of the agent stopped?"),
+    ("leaped", "leap", "an epoch, a number or a stamp leaps: wrong, or another source"),
     ("not_finite", "not_finite", "a state that is no number"),
     ("no_input", "input_not_finite", "an input that is no number is taken as not recorded"),
     ("stale", "stale_pose", "the pose repeats although the vehicle moves: no transition is taken from it"),
-    ("resynced", "clock_set_back", "the clock was set back: a new trajectory begins"),
+    ("resynced", "resynced", "samples that were refused agree with each other: a new trajectory begins"),
 )
 #: Samples after which the sample interval is held against the profile.
 INTERVAL_CHECK: Final = 20

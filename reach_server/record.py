@@ -7,8 +7,15 @@ from numpy.typing import NDArray
 
 from fleet_bus.messages import Audit
 from reach_server.audit import RECENT, Predictions, bands
-from reach_server.rows import with_room
+from reach_server.rows import take, with_room
 from reach_server.windows import Floats, SampleBatch
+
+#: A jump that a bound, wrong by this factor at most, explains is none: it is held against the bound.
+BEYOND_BOUNDS = 5.0
+#: Jumps among ``RECENT`` checks that cost no label: one bad pose makes two, there and back.
+FORGIVEN = 2
+#: Times that the span, after which a refuted bound is believed again, is doubled at most.
+MOST_DOUBLINGS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +30,13 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checked:
-    """What a batch of measurements says: ``misses``, and the slots whose rolling record ``left`` its band with them or
-    ``returned`` into it."""
+    """What a batch of measurements says: ``misses``; the slots whose rolling record ``left`` its band with them or
+    ``returned`` into it; and those whose refuted bounds have held for long enough since, ``restored``."""
 
     misses: list[Miss]
     left: NDArray[np.intp]
     returned: NDArray[np.intp]
+    restored: NDArray[np.intp]
 
 
 class Record:
@@ -36,10 +44,23 @@ class Record:
 
     A check misses with probability ``alpha`` at most, if the label is right. How many of the newest 1000 did is the
     rolling record, ``outside`` (V,) where that is more than ``alpha`` explains: see ``audit.bands``.
+
+    Where ``alpha`` is 0 the sets rest on stated bounds, and these are judged:
+
+    ====================  ==============================================================================================
+    miss                  refutes a bound: ``falsified``, see ``refute``
+    miss of a jump        no check at all: a pose that the window takes for a jump, and that lies more than
+                          ``BEYOND_BOUNDS`` times as far from the center of the set without cuts as the set reaches
+    jumps                 more than ``FORGIVEN`` of them within ``RECENT`` checks: ``restless``
+    checks that hold      ``span`` of them in a row after the last refutation end ``falsified``; twice as many after the
+                          second time, and so on
+    ====================  ==============================================================================================
     """
 
-    def __init__(self, alpha: float = 0.01) -> None:
+    def __init__(self, alpha: float = 0.01, span: int = RECENT) -> None:
         self.predictions = Predictions()
+        self._judges_bounds = alpha == 0.0
+        self._span = span
         self._leaves, self._returns = bands(alpha)
         self._checked = np.zeros(0, dtype=np.int64)
         self._inside = np.zeros(0, dtype=np.int64)
@@ -48,14 +69,21 @@ class Record:
         self._missed = np.zeros((0, RECENT), dtype=bool)
         self._misses = np.zeros(0, dtype=np.int64)
         self.outside: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        #: Whether a stated bound turned out to be wrong.
+        #: Whether a stated bound turned out to be wrong, how often that was found, and checks that held since.
         self.falsified: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._refuted = np.zeros(0, dtype=np.int64)
+        self._held = np.zeros(0, dtype=np.int64)
+        #: How many had been checked, plus one, at the newest jumps, oldest first; 0 for none.
+        self._jumps = np.zeros((0, FORGIVEN + 1), dtype=np.int64)
         #: Stamps of samples that only side information excludes, by slot, until that has been looked into.
         self.doubted: dict[int, int] = {}
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
-        for name in ("_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "falsified"):
+        for name in (
+            "_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "falsified", "_refuted", "_held",
+            "_jumps",
+        ):  # fmt: skip
             array = getattr(self, name)
             setattr(self, name, with_room(array, slots, array))
 
@@ -64,6 +92,7 @@ class Record:
         self.predictions.drop(slot)
         self._checked[slot] = self._inside[slot] = self._last_miss[slot] = self._misses[slot] = 0
         self._missed[slot] = False
+        self._refuted[slot] = self._held[slot] = self._jumps[slot] = 0
         self.outside[slot] = self.falsified[slot] = False
         self.doubted.pop(slot, None)
 
@@ -76,9 +105,37 @@ class Record:
             recent, recent - int(self._misses[slot]), int(self._leaves[recent]),
         )  # fmt: skip
 
-    def check(self, batch: SampleBatch, slack: float, noise: Floats, angles: tuple[int, ...]) -> Checked:
-        """Hold the measurements against the predictions that wait for them; see ``Predictions.check``."""
+    def refute(self, slot: int) -> bool:
+        """A stated bound of a vehicle turned out to be wrong, by a miss or by the data; whether that is news."""
+        news = not self.falsified[slot]
+        self._refuted[slot] += news
+        self._held[slot] = 0
+        self.falsified[slot] = True
+        return news
+
+    def jumped(self, slot: int) -> bool:
+        """The pose of a vehicle jumped; whether it does so too often for its label."""
+        self._jumps[slot, :-1] = self._jumps[slot, 1:]
+        self._jumps[slot, -1] = self._checked[slot] + 1
+        return bool(self.restless(np.array([slot]))[0])
+
+    def restless(self, slots: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which vehicles (B,) jump too often for a label that rests on bounds."""
+        oldest = self._jumps[slots, 0]
+        return np.asarray((oldest > 0) & (self._checked[slots] + 1 - oldest < RECENT) & self._judges_bounds)
+
+    def check(
+        self, batch: SampleBatch, slack: float, noise: Floats, angles: tuple[int, ...], jumped: NDArray[np.bool_]
+    ) -> Checked:
+        """Hold the measurements against the predictions that wait for them, see ``Predictions.check``; ``jumped`` (B,)
+        are those whose pose jumped."""
         found = self.predictions.check(batch, slack, noise, angles)
+        if self._judges_bounds and jumped[found.row].any():
+            no_check = jumped[found.row] & ~found.inside & (found.times_free > BEYOND_BOUNDS)
+            for slot in found.slot[no_check].tolist():
+                # Nor is the received state cut by what was predicted for it.
+                self.predictions.drop(slot)
+            found = take(found, ~no_check)
         slots = found.slot
         missed = ~found.inside
         place = self._checked[slots] % RECENT
@@ -87,12 +144,17 @@ class Record:
         self._checked[slots] += 1
         self._inside[slots] += found.inside
         left, returned = self._judge(slots)
+        # What only side information excludes says nothing against the bounds.
+        self._held[slots] = np.where(found.inside_free, self._held[slots] + 1, 0)
+        enough = self._span << np.minimum(np.maximum(self._refuted[slots] - 1, 0), MOST_DOUBLINGS)
+        restored = slots[self.falsified[slots] & (self._held[slots] >= enough)]
+        self.falsified[restored] = False
         misses: list[Miss] = []
         for k in np.flatnonzero(missed).tolist():
             slot, excess = int(slots[k]), float(found.excess[k])
             self._last_miss[slot] = excess
             misses.append(Miss(slot, int(batch.t[found.row[k]]), excess, bool(found.inside_free[k])))
-        return Checked(misses, left, returned)
+        return Checked(misses, left, returned, restored)
 
     def _judge(self, slots: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """The slots, of those checked, whose record leaves its band now, and those whose record returns."""

@@ -7,12 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag
+from reach_server.leaps import LATEST, Rivals, lost_at_most, note, paused_at_most
 from reach_server.sets.compiled import compiled
 
-#: Samples in a row before the newest stamp after which the newest stamp is no longer believed.
-RESYNC = 3
-#: Batches in a row with nothing but an older epoch after which that epoch is believed to be alive.
-OLDER_EPOCH = 20
 #: A pose jumps where it changes by more than this times what rates and speed limits allow,
 ALLOWED_CHANGE = 2.0
 #: or, without those, by more than this times every change between linked samples in the window,
@@ -27,12 +24,13 @@ LEAST_LINKS = 50
 GREATEST = 1e30
 
 #: What becomes of a sample: one of the first, or stored with any of the rest.
-STORED, REPEATED, BACKWARDS, STOPPED, NOT_FINITE, TOO_OLD = 0, 1, 2, 3, 4, 5
+STORED, REPEATED, BACKWARDS, STOPPED, NOT_FINITE, TOO_OLD, LEAP = 0, 1, 2, 3, 4, 5, 6
 REFUSED = 7
 NO_INPUT, STALE, JUMPED, RESYNCED, AFTER_STALE = 8, 16, 32, 64, 128
 
 _MISSING = int(StateFlag.INPUT_MISSING)
 _NEW = int(StateFlag.NEW_TRAJECTORY)
+_HISTORY = int(StateFlag.HISTORY)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -87,10 +85,9 @@ class Rules(NamedTuple):
 
 
 @compiled
-def survey(batch: Samples, ring: Ring, count: Ints, older: Ints, late: Mask) -> tuple[bool, bool]:
+def survey(batch: Samples, ring: Ring, count: Ints, late: Mask) -> tuple[bool, bool]:
     """Mark samples that are not newer, by (epoch, seq), than the newest one stored of their vehicle; whether the batch
-    is sorted by (vehicle, epoch, seq), and whether anything is marked. Where the newest epoch is alive, ``older`` is
-    set to zero."""
+    is sorted by (vehicle, epoch, seq), and whether anything is marked."""
     size = ring.t.shape[1]
     in_order, any_late = True, False
     for k in range(len(batch.vehicle)):
@@ -107,52 +104,74 @@ def survey(batch: Samples, ring: Ring, count: Ints, older: Ints, late: Mask) -> 
             newest = (count[slot] - 1) % size
             known = ring.epoch[slot, newest]
             late[k] = epoch < known or (epoch == known and seq <= ring.seq[slot, newest])
-            if epoch >= known:
-                older[slot] = 0
             any_late = any_late or late[k]
     return in_order, any_late
 
 
 @compiled
-def append(batch: Samples, ring: Ring, count: Ints, earlier: Ints, rules: Rules, fate: NDArray[np.uint8]) -> None:
-    """Append samples sorted by (vehicle, epoch, seq), newer than what is stored, each with its fate."""
+def append(
+    batch: Samples, number: int, ring: Ring, count: Ints, rivals: Rivals, rules: Rules, fate: NDArray[np.uint8]
+) -> None:
+    """Append samples sorted by (vehicle, epoch, seq), newer than what is stored, each with its fate; ``number`` is that
+    of the batch."""
     size = ring.t.shape[1]
     for k in range(len(batch.vehicle)):
         slot = batch.vehicle[k]
-        fate[k] = _admit(batch, k, ring, count[slot], earlier)
+        fate[k] = _admit(batch, k, number, ring, count[slot], rivals, rules.interval)
         if fate[k] & REFUSED:
             continue
-        earlier[slot] = 0
+        rivals.live[slot] = rivals.won[slot] = False
         place = count[slot] % size
         fate[k] |= _write(batch, k, ring, place, rules, min(count[slot], size - 1))
         count[slot] += 1
 
 
 @compiled
-def _admit(batch: Samples, k: int, ring: Ring, count: int, earlier: Ints) -> int:
+def _admit(batch: Samples, k: int, number: int, ring: Ring, count: int, rivals: Rivals, interval: int) -> int:
     """Whether sample k of a sorted batch is stored after the newest one: STORED, RESYNCED, or why not."""
-    slot = batch.vehicle[k]
-    if (
-        k > 0
-        and batch.vehicle[k - 1] == slot
-        and batch.epoch[k - 1] == batch.epoch[k]
-        and batch.seq[k - 1] == batch.seq[k]
-    ):
+    slot, epoch, seq, t = batch.vehicle[k], batch.epoch[k], batch.seq[k], batch.t[k]
+    newest = (count - 1) % ring.t.shape[1]
+    if count > 0 and ring.epoch[slot, newest] == epoch and ring.seq[slot, newest] == seq:
         return REPEATED
-    if not _is_finite(batch.x[k]):
-        return NOT_FINITE
+    fault = _fault(batch, k)
+    if fault != STORED:
+        return fault
+    if rivals.won[slot]:
+        return RESYNCED
     if count == 0:
         return STORED
-    newest = (count - 1) % ring.t.shape[1]
-    if ring.epoch[slot, newest] != batch.epoch[k] or batch.t[k] > ring.t[slot, newest]:
-        return STORED
-    if batch.t[k] == ring.t[slot, newest]:
-        earlier[slot] = 0
-        return STOPPED
-    if earlier[slot] >= RESYNC:
+    stamp, before = ring.t[slot, newest], ring.seq[slot, newest]
+    if ring.epoch[slot, newest] != epoch:
+        # An epoch is the time of a start, or a count of starts: in either case no more than the stamp.
+        follows = STORED if t > stamp and t > 0 and epoch <= np.uint64(t) else LEAP
+    elif t <= stamp:
+        follows = STOPPED if t == stamp else BACKWARDS
+    else:
+        # Where a trajectory begins, and where what was recorded ends, any time may have passed.
+        begins = batch.flags[k] & _NEW != 0 or (
+            batch.flags[k] & _HISTORY == 0 and ring.flags[slot, newest] & _HISTORY != 0
+        )
+        follows = LEAP
+        if lost_at_most(before, stamp, seq, t, interval) and (
+            begins or paused_at_most(before, stamp, seq, t, interval)
+        ):
+            follows = STORED
+    if follows != STORED and note(rivals, slot, epoch, seq, t, number, interval, True):
         return RESYNCED
-    earlier[slot] += 1
-    return BACKWARDS
+    return follows
+
+
+@compiled
+def contest(batch: Samples, number: int, fate: NDArray[np.uint8], rivals: Rivals, interval: int) -> int:
+    """Take in late samples of one vehicle, sorted, and what became of them; the first row that is believed to be newer
+    than what is stored, or -1. What was recorded before the start of a vehicle is late by right."""
+    for k in range(len(batch.vehicle)):
+        faulty = fate[k] == NOT_FINITE or batch.t[k] > LATEST
+        if not faulty and batch.flags[k] & _HISTORY == 0:
+            against = fate[k] == BACKWARDS or fate[k] == STOPPED or fate[k] == LEAP
+            if note(rivals, batch.vehicle[k], batch.epoch[k], batch.seq[k], batch.t[k], number, interval, against):
+                return k
+    return -1
 
 
 @compiled
@@ -167,11 +186,12 @@ def fit_in(batch: Samples, held: Mask, fate: NDArray[np.uint8]) -> None:
     following = -1
     for k in range(len(batch.vehicle) - 1, -1, -1):
         if fate[k] == STORED:
-            if not held[k] and following >= 0 and batch.epoch[k] == batch.epoch[following]:
-                if batch.t[k] == batch.t[following]:
-                    fate[k] = STOPPED
-                elif batch.t[k] > batch.t[following]:
-                    fate[k] = BACKWARDS
+            if not held[k] and following >= 0 and batch.t[k] >= batch.t[following]:
+                if batch.epoch[k] != batch.epoch[following]:
+                    # An older epoch has ended before a newer one begins.
+                    fate[k] = LEAP
+                else:
+                    fate[k] = STOPPED if batch.t[k] == batch.t[following] else BACKWARDS
             if fate[k] == STORED:
                 following = k
 
@@ -181,11 +201,20 @@ def _fits(batch: Samples, k: int, last: int) -> int:
     """Whether sample k may follow the one stored before it, ``last`` (-1 for none)."""
     if last >= 0 and batch.epoch[k] == batch.epoch[last] and batch.seq[k] == batch.seq[last]:
         return REPEATED
-    if not _is_finite(batch.x[k]):
-        return NOT_FINITE
+    fault = _fault(batch, k)
+    if fault != STORED:
+        return fault
     if last < 0 or batch.epoch[k] != batch.epoch[last] or batch.t[k] > batch.t[last]:
         return STORED
     return STOPPED if batch.t[k] == batch.t[last] else BACKWARDS
+
+
+@compiled
+def _fault(batch: Samples, k: int) -> int:
+    """Why sample k is none, whatever came before; STORED where it may be one."""
+    if not _is_finite(batch.x[k]):
+        return NOT_FINITE
+    return LEAP if batch.t[k] > LATEST else STORED
 
 
 @compiled

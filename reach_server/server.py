@@ -36,6 +36,7 @@ from fleet_bus.pubsub import (
 from fleet_bus.rejections import Rejections
 from fleet_bus.sessions import DEFAULT_ROUTER, Role, open_session
 from reach_server import publish
+from reach_server.event_limit import EventLimit
 from reach_server.fleet import Fleet
 from reach_server.ingest import Ingest, VehicleBatch
 from reach_server.load import Load
@@ -90,6 +91,7 @@ class ReachServer:
         self._seen: dict[str, float] = {}
         self._presence = Presence()
         self._load = Load()
+        self._limit = EventLimit()
         #: Why vehicles have no tube, by id.
         self._waiting: dict[str, str] = {}
 
@@ -273,6 +275,7 @@ class ReachServer:
         for vehicle in self.fleet.let_go(now):
             _log.info("let go of a vehicle that was silent for long", vehicle=vehicle)
             self._forget_asked(vehicle)
+            self._limit.forget(vehicle)
             self._waiting.pop(vehicle, None)
             for publishers, key in ((self._tubes, keys.tube(vehicle)), (self._events, keys.event(vehicle))):
                 if (publisher := publishers.pop(key, None)) is not None:
@@ -332,6 +335,10 @@ class ReachServer:
         return publisher
 
     def _publish_event(self, event: EngineEvent) -> None:
+        admitted = self._limit.admit(event, time.monotonic())
+        if admitted is None:
+            return
+        event = admitted
         message = Event(
             kind=event.kind, vehicle=event.vehicle, t=event.t, source=self.instance,
             message=event.message[:2000], details=event.details,
@@ -354,7 +361,8 @@ class ReachServer:
             kind="reach", instance=self.instance, t=time.time_ns(), started=self._started,
             counters={
                 "states": self.ingest.received, "stored": self._stored, "repeated": self._repeated,
-                "tubes": self._tube_count, "events": self._event_count, "failures": self._failures,
+                "tubes": self._tube_count, "events": self._event_count,
+                "events_withheld": self._limit.withheld, "failures": self._failures,
             },
             gauges={
                 "vehicles": float(len(filled)), "waiting": float(len(self._waiting)),

@@ -1,127 +1,16 @@
 """Rolling data windows of a vehicle class: the newest samples of every vehicle, in order, none double."""
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
-from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
+from fleet_bus.messages import StateFlag, VehicleProfile
 from reach_server import ring
+from reach_server.leaps import Rivals
 from reach_server.ring import Ring, Rules, Samples
-from reach_server.rows import take, with_room
+from reach_server.rows import with_room
+from reach_server.samples import Appended, Block, Columns, Floats, Ints, SampleBatch
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SampleBatch:
-    """B samples of several vehicles of one class: every array has one row per sample, in any order.
-
-    Attributes:
-        vehicle: (B,) slots of the window, see ``Engine.add``.
-        epoch, seq: (B,) which sample of the vehicle it is.
-        t: (B,) stamps, ns since the Unix epoch.
-        flags: (B,) see ``StateFlag``.
-        x: (B, n) states, in the units of the profile.
-        u: (B, m) inputs in force from ``t`` on, in the units of the profile; NaN where not known.
-    """
-
-    vehicle: NDArray[np.intp]
-    epoch: NDArray[np.uint64]
-    seq: NDArray[np.uint64]
-    t: Ints
-    flags: NDArray[np.uint32]
-    x: Floats
-    u: Floats
-
-    @classmethod
-    def of(cls, slot: int, samples: list[StateSample]) -> Self:
-        """Batch of one vehicle's samples."""
-        return cls(
-            np.full(len(samples), slot, dtype=np.intp),
-            np.array([s.epoch for s in samples], dtype=np.uint64),
-            np.array([s.seq for s in samples], dtype=np.uint64),
-            np.array([s.t for s in samples], dtype=np.int64),
-            np.array([int(s.flags) for s in samples], dtype=np.uint32),
-            np.array([s.x for s in samples], dtype=np.float64),
-            np.array([s.u for s in samples], dtype=np.float64),
-        )
-
-    def take(self, rows: NDArray[np.intp]) -> Self:
-        """The samples of some ``rows`` (K,)."""
-        taken: Self = take(self, rows)
-        return taken
-
-    @classmethod
-    def join(cls, batches: list["SampleBatch"]) -> "SampleBatch":
-        """All samples of several batches."""
-        names = ("vehicle", "epoch", "seq", "t", "flags", "x", "u")
-        return cls(*(np.concatenate([getattr(batch, name) for batch in batches]) for name in names))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """S samples of each of B vehicles, oldest first.
-
-    ``t`` (B, S) ns, ``x`` (B, S, n) as received, ``u`` (B, S, m) zero where ``input_known`` (B, S) is False; ``valid``
-    (B, S) is False on the padding in front. ``linked`` (B, S) says that a sample follows the one before it: same epoch,
-    next seq, no new trajectory, sample interval within the tolerance.
-    """
-
-    t: Ints
-    x: Floats
-    u: Floats
-    valid: NDArray[np.bool_]
-    input_known: NDArray[np.bool_]
-    linked: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
-    """The ring buffers themselves, a row a slot: the sample of place p is ``t[slot, p]``, ``x[slot, p]`` and so on.
-
-    ``t`` (V, S) ns; ``x`` (V, S, n) as received; ``u`` (V, S, m), zero where not known; ``run`` (V, S) number of links
-    that end at a sample, 0 where a trajectory begins (links to samples that have left the window count: go no further
-    back than the window does); ``input_known`` (V, S); ``gated`` (V, S) set by ``Window.gate``: a glitch, to be kept
-    out of models. What stands at places that hold no sample means nothing. To be read, and not to be kept: growing
-    makes new arrays.
-    """
-
-    t: Ints
-    x: Floats
-    u: Floats
-    run: NDArray[np.int32]
-    input_known: NDArray[np.bool_]
-    gated: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class Appended:
-    """What became of the samples of a batch.
-
-    Each was stored, or refused: seen before (``repeated``), stamp before the newest one (``backwards``) or equal to it
-    (``stopped``), a state that is no number (``not_finite``), older than all that a full window holds (``too_old``).
-    Of those stored, ``no_input`` had an input that is no number, ``stale`` repeated a pose while moving, ``resynced``
-    set the clock back, and ``jumped`` names (slot, t) of those whose pose jumped.
-    """
-
-    stored: int = 0
-    repeated: int = 0
-    backwards: int = 0
-    stopped: int = 0
-    not_finite: int = 0
-    too_old: int = 0
-    no_input: int = 0
-    stale: int = 0
-    resynced: int = 0
-    jumped: tuple[tuple[int, int], ...] = ()
-
-    @property
-    def refused(self) -> int:
-        """Samples that nobody has seen before and that are kept out."""
-        return self.backwards + self.stopped + self.not_finite
+__all__ = ["Appended", "Block", "Columns", "Floats", "Ints", "SampleBatch", "Window"]
 
 
 class Window:
@@ -129,7 +18,8 @@ class Window:
 
     Samples may come in any order and more than once: they are identified by (epoch, seq) and kept sorted by it. A
     sample follows the one before it, is *linked* to it, if it has the same epoch and the next seq, begins no new
-    trajectory, and comes a sample interval later within the profile's tolerance. What else can come:
+    trajectory, and comes a sample interval later within the profile's tolerance. What else can come, and what happens
+    then, whatever has come before; ``leaps`` has the numbers:
 
     ===================  ===============================================================================================
     state not a number   NaN, infinite or above 1e30: refused, ``not_finite``; the gap begins a trajectory
@@ -137,15 +27,21 @@ class Window:
     key seen before      refused, ``repeated``: the values that came first count
     late sample          put in its place by (epoch, seq) if its stamp fits there (else ``backwards`` or ``stopped``)
                          and the window still reaches back to it (else ``too_old``)
-    stamp repeated       equal to the newest one of its epoch: refused, ``stopped``, however often it comes
+    stamp repeated       equal to the newest one of its epoch: refused, ``stopped``
     stamp backwards      before the newest one of its epoch: refused, ``backwards``; so one bad clock reading cannot
                          reorder a trajectory
-    clock set back       after three in a row that lie before the newest stamp it is that stamp which was wrong, or the
-                         clock was set back: the next is taken and begins a trajectory, ``resynced``
-    clock set forward    stored, begins a trajectory since the interval is none
-    epoch set back       samples of an older epoch than the newest one are late samples; when nothing else has come 20
-                         times in a row, the vehicle was started anew with its clock set back: its window is cleared
-                         and begins with that epoch, ``resynced``
+    number leaps         ahead of the newest one by more than 10 samples and 10 times what the stamps say, in sample
+                         times: refused, ``leaped``
+    stamp leaps          ahead of the newest one by more than 10 sample times and 10 times what the numbers say, unless
+                         the sample says that a trajectory begins, or recorded history ends; or above 2**62 ns:
+                         refused, ``leaped``
+    epoch leaps          newer than the newest one, but greater than the stamp, or with a stamp not after the newest
+                         one; or older, with a stamp not before what the newer one has begun with: refused, ``leaped``
+    sample believed      after three refused in a row that agree with each other (the same epoch, numbers and stamps
+                         that rise and do not leap) the fourth is stored and begins a trajectory, ``resynced``. Nothing
+                         newer may have been stored meanwhile: then what is stored goes on, and the count begins anew
+    late ones believed   the same where all that comes for 20 batches in a row is late or repeated, and agrees
+    what is thrown out   samples with the key of the first that is believed, or a later one: only they were wrong
     pose jumps           stored, begins a trajectory, ``jumped``. A state jumps where it changes by more than twice what
                          its ``rate`` allows (positions: what the limits of the speed allow). The pose of a vehicle that
                          states neither (every state where no role names the pose) jumps where it changes by more
@@ -156,8 +52,13 @@ class Window:
                          it nor the sample after it, which makes up for two intervals, is linked to the one before
     ===================  ===============================================================================================
 
-    ``count`` (V,) is the number of samples ever appended, so the next goes to place ``count % size``; ``revision`` (V,)
-    rises whenever what is stored changes in another way: by clearing, a late sample, or gating.
+    A stream of which each sample agrees with the one before is stored from its ``leaps.LATE_BATCHES + leaps.RESYNC +
+    1``-th batch on at the latest, and its newest sample is then the newest one held, whatever came before it: a batch
+    of which none is stored as the newest adds to one of the two counts, its samples being refused, late, or repeated.
+
+    ``count`` (V,) is the number of samples appended since a clearing, so the next goes to place ``count % size``;
+    ``revision`` (V,) rises whenever what is stored changes in another way: by clearing, throwing out, a late sample, or
+    gating.
     """
 
     def __init__(self, profile: VehicleProfile, size: int | None = None) -> None:
@@ -166,10 +67,9 @@ class Window:
         n, m = len(profile.state), len(profile.inputs)
         self.count = np.zeros(0, dtype=np.int64)
         self.revision = np.zeros(0, dtype=np.int64)
-        #: Samples in a row that were refused because they lie before the newest one.
-        self._earlier = np.zeros(0, dtype=np.int64)
-        #: Batches in a row with samples of an older epoch and none of the newest.
-        self._older = np.zeros(0, dtype=np.int64)
+        self._rivals = Rivals.none()
+        #: Number of the batch that is being stored.
+        self._batch = 0
         shape = (0, self.size)
         self._ring = Ring(
             np.zeros(shape, dtype=np.uint64), np.zeros(shape, dtype=np.uint64), np.zeros(shape, dtype=np.int64),
@@ -179,9 +79,10 @@ class Window:
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles; the new ones are empty."""
-        for name in ("count", "revision", "_earlier", "_older"):
+        for name in ("count", "revision"):
             array = getattr(self, name)
             setattr(self, name, with_room(array, slots, array))
+        self._rivals = Rivals(*(with_room(column, slots, column) for column in self._rivals))
         self._ring = Ring(*(with_room(column, slots, column) for column in self._ring))
 
     def columns(self) -> Columns:
@@ -191,7 +92,8 @@ class Window:
 
     def clear(self, slot: int) -> None:
         """Forget the samples of one vehicle."""
-        self.count[slot] = self._earlier[slot] = self._older[slot] = 0
+        self.count[slot] = 0
+        self._rivals.forget(slot)
         self.revision[slot] += 1
 
     def gate(self, slots: NDArray[np.intp], places: NDArray[np.intp]) -> None:
@@ -206,46 +108,50 @@ class Window:
 
     def append(self, batch: SampleBatch) -> Appended:
         """Store a batch; return what became of its samples."""
+        self._batch += 1
         samples = _contiguous(batch)
         late = np.zeros(len(samples.vehicle), dtype=bool)
-        in_order, any_late = ring.survey(samples, self._ring, self.count, self._older, late)
+        in_order, any_late = ring.survey(samples, self._ring, self.count, late)
         if not any_late:
             return _summary(samples, self._append(samples, in_order=in_order))
         fate = np.zeros(len(late), dtype=np.uint8)
         for slot in np.unique(samples.vehicle[late]).tolist():
             rows = np.flatnonzero(late & (samples.vehicle == slot))
-            if self._starts_anew(slot, samples.epoch[rows]):
-                late[rows] = False
-                fate[rows[0]] = ring.RESYNCED
-            else:
-                fate[rows] = self._merge(slot, _rows(samples, rows))
+            fate[rows] = self._merge(slot, _rows(samples, rows))
+            won = self._won(slot, rows, samples, fate)
+            late[won] = False
+            fate[won] = ring.STORED
         fresh = np.flatnonzero(~late)
-        fate[fresh] |= self._append(_rows(samples, fresh), in_order=in_order)
+        fate[fresh] = self._append(_rows(samples, fresh), in_order=in_order)
         return _summary(samples, fate)
 
-    def _starts_anew(self, slot: int, epochs: NDArray[np.uint64]) -> bool:
-        """Whether an older epoch, of some late samples, is the one that is alive; the window is cleared then."""
-        newest = self._ring.epoch[slot, (self.count[slot] - 1) % self.size]
-        if (epochs >= newest).any():
-            return False
-        self._older[slot] += 1
-        if self._older[slot] <= ring.OLDER_EPOCH:
-            return False
+    def _won(self, slot: int, rows: NDArray[np.intp], samples: Samples, fate: NDArray[np.uint8]) -> NDArray[np.intp]:
+        """Rows of late samples of one vehicle that are newer than what is stored after all: what is stored with keys
+        like theirs, or later ones, is thrown out."""
+        rows = rows[np.lexsort((samples.seq[rows], samples.epoch[rows]))]
+        found = np.asarray(fate[rows] & ring.REFUSED, dtype=np.uint8)
+        first = ring.contest(_rows(samples, rows), self._batch, found, self._rivals, self._rules.interval)
+        if first < 0:
+            return rows[:0]
+        places, key = self._places(slot), (samples.epoch[rows[first]], samples.seq[rows[first]])
+        epoch, seq = self._ring.epoch[slot, places], self._ring.seq[slot, places]
+        kept = places[(epoch < key[0]) | ((epoch == key[0]) & (seq < key[1]))]
+        held = Samples(np.full(len(kept), slot), *(column[slot, kept] for column in self._ring[:6]))
+        gated = self._ring.gated[slot, kept]
         self.clear(slot)
-        return True
+        self.count[slot] = len(kept)
+        ring.rebuild(held, gated, 0, self._ring, self._rules, np.zeros(len(kept), dtype=np.uint8))
+        self._rivals.won[slot] = True
+        return rows[first:]
 
     def _append(self, samples: Samples, *, in_order: bool) -> NDArray[np.uint8]:
         """Append samples newer than those stored; the fate (B,) of each."""
         order = None if in_order else np.lexsort((samples.seq, samples.epoch, samples.vehicle))
         fate = np.zeros(len(samples.vehicle), dtype=np.uint8)
         ring.append(
-            samples if order is None else _rows(samples, order),
-            self._ring,
-            self.count,
-            self._earlier,
-            self._rules,
-            fate,
-        )
+            samples if order is None else _rows(samples, order), self._batch, self._ring, self.count, self._rivals,
+            self._rules, fate,
+        )  # fmt: skip
         if order is not None:
             fate[order] = fate.copy()
         return fate
@@ -282,6 +188,12 @@ class Window:
         count = int(self.count[slot])
         return np.arange(max(count - self.size, 0), count) % self.size
 
+    def followed(self, slots: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Whether the newest sample of the vehicles in ``slots`` (B,) follows the one before it, or is the only one
+        held: (B,)."""
+        place = (self.count[slots] - 1) % self.size
+        return np.asarray((self.count[slots] == 1) | (self._ring.run[slots, place] > 0))
+
     def keys(self, slot: int) -> list[tuple[int, int]]:
         """(epoch, seq) of the samples held of one vehicle, oldest first."""
         places = self._places(slot)
@@ -310,6 +222,22 @@ class Window:
         (B, length)."""
         flags = self._ring.flags[slots[:, None], self._newest_places(slots, length)]
         return np.asarray(flags & int(StateFlag.HISTORY) != 0)
+
+    def stray(self, slots: NDArray[np.intp], length: int) -> NDArray[np.bool_]:
+        """Which of the newest ``length`` samples of the vehicles in ``slots`` (B,) stand alone, (B, length): they came
+        right after another one, but their pose does not follow from its, nor the next one's from theirs."""
+        length = min(length, self.size - 1)
+        rows, places = slots[:, None], self._newest_places(slots, length + 1)
+        run, stored = self._ring.run[rows, places], self._ring
+        alone = run[:, 1:] == 0
+        alone[:, :-1] &= run[:, 2:] == 0
+        alone &= np.arange(length)[None] > length - self.filled(slots)[:, None]
+        if alone.any():
+            epoch, seq, t = stored.epoch[rows, places], stored.seq[rows, places], stored.t[rows, places]
+            alone &= (epoch[:, 1:] == epoch[:, :-1]) & (seq[:, 1:] == seq[:, :-1] + np.uint64(1))
+            alone &= np.abs(np.diff(t, axis=1) - self._rules.interval) <= self._rules.slack
+            alone &= stored.flags[rows, places[:, 1:]] & int(StateFlag.NEW_TRAJECTORY) == 0
+        return np.asarray(alone)
 
     def newest(
         self, slots: NDArray[np.intp]
@@ -362,12 +290,12 @@ def _rows(samples: Samples, rows: NDArray[np.intp]) -> Samples:
 
 def _summary(samples: Samples, fate: NDArray[np.uint8]) -> Appended:
     if not fate.any():
-        return Appended(len(fate))
-    counts = np.bincount(fate & ring.REFUSED, minlength=ring.TOO_OLD + 1).tolist()
+        return Appended(len(fate), fate=fate)
+    counts = np.bincount(fate & ring.REFUSED, minlength=ring.LEAP + 1).tolist()
     no_input, stale, again = (int((fate & mark != 0).sum()) for mark in (ring.NO_INPUT, ring.STALE, ring.RESYNCED))
     jumped = np.flatnonzero(fate & ring.JUMPED)
     named = zip(samples.vehicle[jumped].tolist(), samples.t[jumped].tolist(), strict=True)
     return Appended(
         counts[ring.STORED], counts[ring.REPEATED], counts[ring.BACKWARDS], counts[ring.STOPPED],
-        counts[ring.NOT_FINITE], counts[ring.TOO_OLD], no_input, stale, again, tuple(named),
+        counts[ring.NOT_FINITE], counts[ring.TOO_OLD], no_input, stale, again, tuple(named), counts[ring.LEAP], fate,
     )  # fmt: skip

@@ -110,6 +110,7 @@ class EventKind(StrEnum):
     DATA_CONTRADICTED = "data_contradicted"
     COVERAGE = "coverage"
     JUMP = "jump"
+    LEAP = "leap"
     GLITCH = "glitch"
     VEHICLE_GONE = "vehicle_gone"
     TWO_SOURCES = "two_sources"

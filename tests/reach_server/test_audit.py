@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from reach_server.audit import FEW, RECENT, Predictions, bands, binomial_band, inside
+from reach_server.audit import FEW, RECENT, Predictions, bands, binomial_band, inside, times_as_far
 from reach_server.factor_sets import FactorSet
 from reach_server.rows import take
 from reach_server.windows import Floats, SampleBatch
@@ -146,3 +146,12 @@ def test_few_checks_say_little() -> None:
     assert leaves[[FEW, 1000]].tolist() == [3, 18]
     assert returns[[FEW, 1000]].tolist() == [0, 10]
     assert (returns <= leaves).all()
+
+
+def test_how_many_times_as_far_as_its_set_a_state_lies() -> None:
+    sets = FactorSet.zonotope(np.array([[1.0, 3.0]] * 4), np.tile(np.diag([0.4, 0.1]), (4, 1, 1)))
+    y = np.array([[1.0, 3.0], [2.0, 3.0], [1.25, 3.0 - 2 * np.pi + 0.6], [1.0, 3.1]])
+    found = times_as_far(sets, np.diag([0.1, 0.1]), y, (1,))
+    np.testing.assert_allclose(found, [0.0, 2.0, 3.0, 0.5], atol=1e-12)
+    flat = FactorSet.zonotope(np.zeros((1, 2)), np.zeros((1, 2, 0)))
+    assert times_as_far(flat, NONE, np.array([[0.1, 0.0]]), ())[0] == np.inf

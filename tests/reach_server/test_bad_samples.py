@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
+from reach_server.leaps import LATE_BATCHES, PACE, RESYNC, SPARE
 from reach_server.regression import runs, wrap
-from reach_server.ring import LEAST_LINKS, OLDER_EPOCH, RESYNC, SEEN_CHANGE
+from reach_server.ring import LEAST_LINKS, SEEN_CHANGE
 from reach_server.windows import Appended, Floats, SampleBatch, Window
 
 STEP = 50_000_000
@@ -106,7 +107,7 @@ def test_a_late_sample_throws_nothing_out_that_is_there() -> None:
     w = window()
     batch = circle(12)
     t = batch.t.copy()
-    t[4] += 10**15
+    t[4] += 15 * STEP
     found = w.append(replace(batch, t=t).take(np.delete(np.arange(12), 2)))
     assert found == Appended(8, backwards=RESYNC, resynced=1)
     before = w.keys(0)
@@ -114,37 +115,98 @@ def test_a_late_sample_throws_nothing_out_that_is_there() -> None:
     assert w.keys(0) == sorted([*before, (1, 2)])
 
 
-def test_a_clock_set_back_is_believed_after_a_few_samples() -> None:
+@pytest.mark.parametrize("hours", [-1, 1, 10**5])
+def test_a_clock_that_is_set_is_believed_after_a_few_samples(hours: int) -> None:
     w = window()
     w.append(circle(10))
-    back = replace(circle(10, 10), t=circle(10, 10).t - 3600 * 10**9)
-    assert w.append(back) == Appended(10 - RESYNC, backwards=RESYNC, resynced=1)
+    away = replace(circle(10, 10), t=circle(10, 10).t + hours * 3600 * 10**9)
+    found = w.append(away)
+    assert (found.stored, found.refused, found.resynced) == (10 - RESYNC, RESYNC, 1)
+    assert (found.backwards, found.leaped) == ((RESYNC, 0) if hours < 0 else (0, RESYNC))
     assert run_of(w)[10:] == [0, 1, 2, 3, 4, 5, 6]
+    again = w.append(circle(10, 20))
+    assert (again.stored, again.refused, again.resynced) == (10 - RESYNC, RESYNC, 1)
 
 
-def test_a_clock_set_forward_begins_a_trajectory() -> None:
+@pytest.mark.parametrize(("flags", "stored"), [(StateFlag.NONE, 0), (StateFlag.NEW_TRAJECTORY, 1)])
+def test_a_trajectory_may_begin_any_time_later(flags: StateFlag, stored: int) -> None:
     w = window()
     w.append(circle(10))
-    assert w.append(replace(circle(5, 10), t=circle(5, 10).t + 3600 * 10**9)) == Appended(5)
-    assert run_of(w)[10:] == [0, 1, 2, 3, 4]
+    later = replace(circle(1, 10), t=circle(1, 10).t + 3600 * 10**9, flags=np.array([int(flags)], dtype=np.uint32))
+    assert w.append(later).stored == stored
+
+
+def test_recorded_history_may_have_ended_any_time_before() -> None:
+    w = window()
+    w.append(replace(circle(10), flags=np.full(10, int(StateFlag.HISTORY), dtype=np.uint32)))
+    assert w.append(replace(circle(1, 10), t=circle(1, 10).t + 3600 * 10**9)) == Appended(1)
+
+
+@pytest.mark.parametrize("lost", [1, 1000, 10**7])
+def test_lost_samples_are_no_leap(lost: int) -> None:
+    w = window()
+    w.append(circle(10))
+    assert w.append(circle(5, 10 + lost)) == Appended(5)
+
+
+@pytest.mark.parametrize(
+    ("seq", "steps", "leaps"),
+    [(1, SPARE + PACE, False), (1, SPARE + PACE + 1, True), (SPARE + PACE, 1, False), (SPARE + PACE + 1, 1, True),
+     (2**63, 1, True), (2**63, 2**31, True)],
+)  # fmt: skip
+def test_numbers_and_stamps_leap_beyond_what_the_other_says(seq: float, steps: float, leaps: bool) -> None:
+    w = window()
+    w.append(circle(10))
+    one = circle(1, 9)
+    one = replace(one, seq=np.array([9 + int(seq)], dtype=np.uint64), t=one.t + int(steps) * STEP)
+    assert w.append(one) == (Appended(leaped=1) if leaps else Appended(1))
 
 
 def test_an_epoch_set_back_is_believed_when_nothing_else_comes() -> None:
     w = window(vehicles=2)
-    newest = replace(circle(60), epoch=np.full(60, 9, dtype=np.uint64))
+    newest = replace(circle(60, 1000), epoch=np.full(60, 9, dtype=np.uint64))
     w.append(newest.take(np.arange(30)))
     w.append(circle(1, 5, slot=1))
-    for k in range(OLDER_EPOCH):
+    for k in range(LATE_BATCHES):
         assert w.append(circle(1, k)) == Appended(1)
     w.append(newest.take(np.array([30])))
-    for k in range(OLDER_EPOCH, 2 * OLDER_EPOCH):
+    for k in range(LATE_BATCHES, 2 * LATE_BATCHES):
         assert w.append(circle(1, k)) == Appended(1)
     assert w.newest(ALL)[0][0] == 9, "while the newest epoch is alive, older samples are late ones"
-    assert w.append(circle(1, 2 * OLDER_EPOCH)) == Appended(1, resynced=1)
-    assert w.keys(0) == [(1, 2 * OLDER_EPOCH)]
-    assert w.append(circle(5, 2 * OLDER_EPOCH + 1)) == Appended(5)
-    assert run_of(w) == [0, 1, 2, 3, 4, 5]
+    assert w.append(circle(1, 2 * LATE_BATCHES)) == Appended(1, resynced=1)
+    assert w.keys(0) == [(1, k) for k in range(2 * LATE_BATCHES + 1)], "only what is newer than they are was wrong"
+    assert w.append(circle(5, 2 * LATE_BATCHES + 1)) == Appended(5)
+    assert run_of(w)[-6:] == [40, 41, 42, 43, 44, 45]
     assert w.keys(1) == [(1, 5)]
+
+
+def test_an_older_epoch_that_goes_on_where_a_newer_one_has_begun_is_believed_soon() -> None:
+    w = window()
+    w.append(circle(20))
+    w.append(replace(circle(1, 20), epoch=np.array([77], dtype=np.uint64)))
+    for k in range(21, 21 + RESYNC):
+        assert w.append(circle(1, k)) == Appended(leaped=1)
+    assert w.append(circle(3, 21 + RESYNC)) == Appended(3, resynced=1)
+    assert {epoch for epoch, _ in w.keys(0)} == {1}
+    assert run_of(w)[-3:] == [0, 1, 2]
+
+
+def test_the_same_sample_again_does_not_end_a_run() -> None:
+    """Linked routers may deliver each sample twice."""
+    w = window()
+    w.append(circle(10))
+    away = replace(circle(10, 10), t=circle(10, 10).t + 3600 * 10**9)
+    for k in range(RESYNC):
+        assert w.append(away.take(np.array([k, k]))) == Appended(leaped=2)
+    assert w.append(away.take(np.array([RESYNC, RESYNC]))) == Appended(1, repeated=1, resynced=1)
+
+
+def test_of_samples_of_one_key_the_first_that_is_one_counts() -> None:
+    w = window()
+    w.append(circle(10))
+    spoiled = circle(1, 10)
+    spoiled.x[0, 0] = np.nan
+    assert w.append(SampleBatch.join([spoiled, circle(1, 10)])) == Appended(1, not_finite=1)
 
 
 def jump(w: Window, k: int, offset: Floats) -> SampleBatch:
@@ -276,20 +338,31 @@ class Twin:
     def __init__(self) -> None:
         self.held: list[tuple[int, int, int]] = []
         self.runs: list[int] = []
-        self.earlier = 0
+        self.refused: list[tuple[int, int, int]] = []
 
     def append(self, epoch: int, seq: int, t: int) -> str:
-        if not self.held or self.held[-1][0] != epoch:
+        if not self.held:
             return self.store(epoch, seq, t, "stored")
-        if t > self.held[-1][2]:
-            return self.store(epoch, seq, t, "stored")
-        if t == self.held[-1][2]:
-            self.earlier = 0
-            return "stopped"
-        if self.earlier < RESYNC:
-            self.earlier += 1
-            return "backwards"
-        return self.store(epoch, seq, t, "resynced")
+        before = self.held[-1]
+        if before[0] != epoch:
+            what = "stored" if t > before[2] else "leaped"
+        elif t <= before[2]:
+            what = "stopped" if t == before[2] else "backwards"
+        else:
+            what = "stored" if self.agree(before, (epoch, seq, t)) else "leaped"
+        if what == "stored":
+            return self.store(epoch, seq, t, what)
+        if not self.refused or not self.agree(self.refused[-1], (epoch, seq, t)):
+            self.refused = []
+        if len(self.refused) == RESYNC:
+            return self.store(epoch, seq, t, "resynced")
+        self.refused.append((epoch, seq, t))
+        return what
+
+    @staticmethod
+    def agree(one: tuple[int, int, int], two: tuple[int, int, int]) -> bool:
+        lost, steps = two[1] - one[1], (two[2] - one[2]) / STEP
+        return one[0] == two[0] and lost > 0 and steps > 0 and lost <= 10 + 10 * steps and steps <= 10 + 10 * lost
 
     def store(self, epoch: int, seq: int, t: int, what: str) -> str:
         follows = False
@@ -298,18 +371,24 @@ class Twin:
             follows = before[:2] == (epoch, seq - 1) and abs(t - before[2] - STEP) <= 0.25 * STEP
         self.runs.append(self.runs[-1] + 1 if follows else 0)
         self.held.append((epoch, seq, t))
-        self.earlier = 0
+        self.refused = []
         return what
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.sampled_from(["next"] * 6 + ["again", "back", "ahead", "late", "lost", "anew"]), max_size=60))
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(
+        st.sampled_from(["next"] * 8 + ["again", "back", "ahead", "far", "late", "lost", "anew", "high"]), max_size=60
+    )
+)
 def test_stamps_are_judged_as_by_the_twin(story: list[str]) -> None:
     w, twin = window(), Twin()
     epoch, seq, t = 1, 0, START
     for what in story:
-        seq += 2 if what == "lost" else 1
-        t += {"again": 0, "back": -7 * STEP, "ahead": 20 * STEP, "late": round(1.3 * STEP)}.get(what, STEP)
+        seq += {"lost": 2, "high": 25}.get(what, 1)
+        t += {"again": 0, "back": -7 * STEP, "ahead": 15 * STEP, "far": 45 * STEP, "late": round(1.3 * STEP)}.get(
+            what, STEP
+        )
         if what == "anew":
             epoch, seq = epoch + 1, 0
         batch = circle(1, seq)
@@ -322,6 +401,7 @@ def test_stamps_are_judged_as_by_the_twin(story: list[str]) -> None:
                 "resynced": Appended(1, resynced=1),
                 "backwards": Appended(backwards=1),
                 "stopped": Appended(stopped=1),
+                "leaped": Appended(leaped=1),
             }[expected]
         )
     assert w.keys(0) == [one[:2] for one in twin.held]

@@ -33,7 +33,7 @@ from reach_server import server as server_module
 from reach_server.other_servers import OtherServers
 from reach_server.server import ReachServer
 from tests.reach_server.drives import PROFILE, START, SVEA, World
-from tests.reach_server.hostile import Hostile
+from tests.reach_server.hostile import FORGER, Hostile
 from vehicle_agent.simulate import simulate_history
 
 MESSAGES = int(os.environ.get("FLEET_TEST_EXAMPLES", "3000"))
@@ -41,6 +41,8 @@ SEED = int(os.environ.get("FLEET_TEST_SEED", "0"))
 PER_ROUND = 40
 #: Samples of each well-behaved vehicle that come in the first round: enough for a model.
 CATCH_UP = 200
+#: Session that publishes the scenario of the well-behaved.
+SERVICE = "side-info"
 
 
 # --- the server without a network ---------------------------------------------------------------------------------
@@ -78,7 +80,8 @@ class Bench(ReachServer):
     def __init__(self) -> None:
         self.clock = Clock()
         self.puts: list[tuple[str, bytes]] = []
-        super().__init__("bench")
+        with mock.patch.object(server_module, "time", self.clock):
+            super().__init__("bench")
         self._others = OtherServers("session of the bench", "bench")
         self._own_events = cast("CachedPublisher", Sink(keys.service_event("reach", "bench"), self.puts))
         self._rounds = 0
@@ -151,7 +154,7 @@ class Sound:
     def first(self) -> Iterator[Received]:
         """Profiles, scenario, assignment, and samples enough for models."""
         for vehicle, profile in FLEET.items():
-            yield Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None)
+            yield Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None, vehicle)
         # As narrow as is true of the whole drive, so that it cuts now and then.
         low, high = self._drives["cut"].truth[:, :2].min(axis=0), self._drives["cut"].truth[:, :2].max(axis=0)
         box = f"{{x1: [{low[0]}, {high[0]}], x2: [{low[1]}, {high[1]}]}}"
@@ -161,9 +164,9 @@ class Sound:
             "monitor: {stays: 'always[0:100000 s](P)'}\n"
         )
         document = ScenarioDocument(scenario="box", version=1, text=text)
-        yield Received(keys.document("box"), document.encode(), ScenarioDocument.encoding(), None)
+        yield Received(keys.document("box"), document.encode(), ScenarioDocument.encoding(), None, SERVICE)
         assignment = Assignment(scenario="box", vehicle="cut", time_zero=START)
-        yield Received(keys.assignment("box", "cut"), assignment.encode(), Assignment.encoding(), None)
+        yield Received(keys.assignment("box", "cut"), assignment.encode(), Assignment.encoding(), None, SERVICE)
         for k in range(CATCH_UP):
             yield from self.samples(k)
 
@@ -172,21 +175,23 @@ class Sound:
         for vehicle, drive in self._drives.items():
             # Rounding to what a message holds is done by the message.
             sample = StateSample(1, k, START + k * SVEA.dt_ns, drive.measured[k], drive.inputs[k])
-            yield Received(keys.state(vehicle), sample.encode(), ENCODING, None)
+            yield Received(keys.state(vehicle), sample.encode(), ENCODING, None, vehicle)
+        if k % 20 == 0:
+            # Who publishes scenarios is heard once a second.
+            status = ServiceStatus(kind="side-info", instance="a", t=START + k * SVEA.dt_ns, started=START)
+            key = keys.service_status("side-info", "a")
+            yield Received(key, status.encode(), ServiceStatus.encoding(), None, SERVICE)
 
 
 Output = dict[str, list[Any]]
 
 
 def output(puts: list[tuple[str, bytes]], vehicles: Iterable[str]) -> Output:
-    """Tubes and events of some vehicles, without what depends on the clock."""
+    """Tubes and events of some vehicles, but for events about what somebody else publishes of them."""
     chosen, found = set(vehicles), defaultdict(list)
     for key, payload in puts:
-        vehicle = key.split("/")[1]
-        if vehicle in chosen:
-            fields = msgpack.unpackb(payload)
-            for name in ("ct", "se", "source"):
-                fields.pop(name, None)
+        vehicle, fields = key.split("/")[1], msgpack.unpackb(payload)
+        if vehicle in chosen and FORGER not in fields.get("message", ""):
             found[vehicle].append(fields)
     return found
 
@@ -196,7 +201,7 @@ def run(messages: int, seed: int | None = None, classes: int | None = None) -> t
     there is no seed."""
     rounds = -(-messages // PER_ROUND)
     sound, server = Sound(rounds), Bench()
-    stream = iter(()) if seed is None else iter(Hostile(seed, (SMALL, CALIBRATED, WORLD), classes))
+    stream = iter(()) if seed is None else iter(Hostile(seed, FLEET, classes))
     order = np.random.default_rng(seed)
     server.round(sound.first())
     found, sizes = [], []

@@ -7,7 +7,7 @@ import numpy as np
 from fleet_bus.messages import Audit
 from reach_server.audit import RECENT, binomial_band
 from reach_server.factor_sets import FactorSet
-from reach_server.record import Miss, Record
+from reach_server.record import BEYOND_BOUNDS, FORGIVEN, Miss, Record
 from reach_server.windows import SampleBatch
 
 NONE = np.zeros((1, 0))
@@ -29,7 +29,7 @@ def check(record: Record, slots: list[int], k: int, x: list[float]) -> tuple[lis
         np.array(slots, dtype=np.intp), keys[0], keys[1] + np.uint64(1), keys[2], np.zeros(count, dtype=np.uint32),
         np.array(x)[:, None], np.zeros((count, 0)),
     )  # fmt: skip
-    found = record.check(batch, 1.0, NONE, ())
+    found = record.check(batch, 1.0, NONE, (), np.zeros(count, dtype=bool))
     return found.misses, found.left.tolist(), found.returned.tolist()
 
 
@@ -101,3 +101,62 @@ def test_a_reset_forgets_the_vehicle_and_no_other() -> None:
     assert not record.doubted
     check(record, [0], 20, [0.0])
     assert record.audit(0) == Audit(1, 1, 0.0, 1, 1, 1)
+
+
+def judge(record: Record, k: int, x: float, *, jumped: bool) -> tuple[list[Miss], list[int]]:
+    """One prediction [-1, 1], and the sample that it was made for."""
+    keys = np.ones(1, dtype=np.uint64), np.array([k], dtype=np.uint64), np.array([100 * (k + 1)])
+    sets = FactorSet.zonotope(np.zeros((1, 1)), np.ones((1, 1, 1)))
+    record.predictions.keep(np.zeros(1, dtype=np.intp), *keys, sets, sets)
+    batch = SampleBatch(
+        np.zeros(1, dtype=np.intp), keys[0], keys[1] + np.uint64(1), keys[2], np.zeros(1, dtype=np.uint32),
+        np.array([[x]]), np.zeros((1, 0)),
+    )  # fmt: skip
+    found = record.check(batch, 1.0, NONE, (), np.array([jumped]))
+    for miss in found.misses if record._judges_bounds else ():
+        record.refute(miss.slot)
+    return found.misses, found.restored.tolist()
+
+
+def test_only_a_jump_beyond_all_bounds_is_no_check() -> None:
+    for x, jumped, alpha, checked in (
+        (BEYOND_BOUNDS * 1.01, True, 0.0, 0), (BEYOND_BOUNDS * 0.99, True, 0.0, 1), (BEYOND_BOUNDS * 9, False, 0.0, 1),
+        (BEYOND_BOUNDS * 9, True, 0.01, 1), (0.5, True, 0.0, 1),
+    ):  # fmt: skip
+        record = made(1, alpha)
+        misses, _ = judge(record, 0, x, jumped=jumped)
+        assert record.audit(0).checked == checked, x
+        assert bool(misses) is (checked == 1 and abs(x) > 1), x
+        assert record.falsified[0] == (bool(misses) and alpha == 0.0)
+        rows, _ = record.predictions.prior(np.array([0]), *(np.ones((2, 1), dtype=np.uint64)))
+        assert len(rows) == checked, "what was no check cuts no received state either"
+
+
+def test_a_refuted_bound_is_believed_after_a_span_that_doubles() -> None:
+    record, span, k = Record(0.0, 30), 30, 0
+    record.grow(1)
+    for wanted in (span, 2 * span, 4 * span):
+        judge(record, k, 9.0, jumped=False)
+        judge(record, k + 1, 0.0, jumped=False)
+        # A miss meanwhile begins the count anew, and costs no more than that.
+        judge(record, k + 2, 9.0, jumped=False)
+        k += 3
+        back = [judge(record, k + i, 0.0, jumped=False)[1] for i in range(wanted)]
+        assert back == [[]] * (wanted - 1) + [[0]]
+        assert not record.falsified[0]
+        k += wanted
+
+
+def test_jumps_count_among_the_newest_checks() -> None:
+    record, slots = made(1, 0.0), np.zeros(1, dtype=np.intp)
+    assert [record.jumped(0) for _ in range(FORGIVEN + 1)] == [False] * FORGIVEN + [True]
+    for k in range(RECENT - 1):
+        judge(record, k, 0.0, jumped=False)
+        assert record.restless(slots)[0]
+    judge(record, RECENT, 0.0, jumped=False)
+    assert not record.restless(slots)[0]
+    calibrated = made(1, 0.01)
+    assert not any(calibrated.jumped(0) for _ in range(9)), "a rate counts them as misses"
+    record.jumped(0)
+    record.reset(0)
+    assert not any(record.jumped(0) for _ in range(FORGIVEN))
