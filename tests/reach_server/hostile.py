@@ -34,8 +34,6 @@ Floats = NDArray[np.float64]
 STEADY = tuple(f"steady{i}" for i in range(8))
 WILD = tuple(f"wild{i}" for i in range(4))
 VEHICLES = (*STEADY, *WILD)
-#: Sessions that it comes from, where the writer of a key matters.
-SESSIONS = ("", "", "", "session-1", "session-2")
 FORGER = "forger"
 METHODS = ("default", "calibrated", "set_membership", "residual_hull", "paper", "lti")
 EARLIEST, LATEST = int(ranges.TIME.low), int(ranges.TIME.high)
@@ -74,7 +72,7 @@ class Hostile:
         self._pool = [self._odd_profile() for _ in range(classes or 0)]
         self._senders = {vehicle: Sender() for vehicle in VEHICLES}
         kinds: list[tuple[Callable[[], list[Received]], float]] = [
-            (self.states, 30), (self.drive, 60), (self.profile, 1), (self.assignment, 5), (self.document, 1),
+            (self.states, 30), (self.drive, 60), (self.profile, 2), (self.assignment, 5), (self.document, 1),
             (self.token, 2), (self.misplaced, 1), (self.forged, 1),
         ]  # fmt: skip
         self._kinds = [kind for kind, _ in kinds]
@@ -111,6 +109,10 @@ class Hostile:
 
     def _numbers(self, span: Range, *shape: int) -> Floats:
         return np.array([self._number(span) for _ in range(int(np.prod(shape)))]).reshape(shape)
+
+    def _session(self, own: str) -> str:
+        """The session of a writer, now and then another one."""
+        return own if self._chance(0.999) else str(self._one_of(["", "another", "a third"]))
 
     # --- states -------------------------------------------------------------------------------------------------------
     def states(self) -> list[Received]:
@@ -166,9 +168,7 @@ class Hostile:
         return found
 
     def _state(self, vehicle: str, sample: StateSample) -> Received:
-        return Received(
-            keys.state(vehicle), sample.encode(), ENCODING, None, self._one_of(SESSIONS[: 3 + (vehicle in WILD)])
-        )
+        return Received(keys.state(vehicle), sample.encode(), ENCODING, None, self._session(vehicle))
 
     # --- rare messages ------------------------------------------------------------------------------------------------
     def profile(self) -> list[Received]:
@@ -186,7 +186,7 @@ class Hostile:
         # With what a cache holds, most have a model at once.
         caught_up = self._further(vehicle, int(self._one_of([0, 60, 130])))
         return [
-            Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None, self._one_of(SESSIONS)),
+            Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None, self._session(vehicle)),
             *caught_up,
         ]
 
@@ -247,7 +247,11 @@ class Hostile:
         )
         return [
             Received(
-                keys.assignment(name, vehicle), assignment.encode(), Assignment.encoding(), None, self._one_of(SESSIONS)
+                keys.assignment(name, vehicle),
+                assignment.encode(),
+                Assignment.encoding(),
+                None,
+                self._session("service"),
             )
         ]
 
@@ -262,7 +266,9 @@ class Hostile:
             text = re.sub(r"\[0:T\]", f"[0:{self._one_of(['1 ms', '1000000 s', '5 s'])}]", text)
         document = ScenarioDocument(scenario=name, version=version, text=text)
         return [
-            Received(keys.document(name), document.encode(), ScenarioDocument.encoding(), None, self._one_of(SESSIONS))
+            Received(
+                keys.document(name), document.encode(), ScenarioDocument.encoding(), None, self._session("service")
+            )
         ]
 
     def token(self) -> list[Received]:

@@ -8,6 +8,7 @@ import gc
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import Any, cast
 from unittest import mock
@@ -20,6 +21,7 @@ from fleet_bus import keys
 from fleet_bus.messages import (
     Assignment,
     Event,
+    EventKind,
     ReachTube,
     ScenarioDocument,
     ServiceStatus,
@@ -33,7 +35,7 @@ from reach_server import server as server_module
 from reach_server.other_servers import OtherServers
 from reach_server.server import ReachServer
 from tests.reach_server.drives import PROFILE, START, SVEA, World
-from tests.reach_server.hostile import FORGER, Hostile
+from tests.reach_server.hostile import Hostile
 from vehicle_agent.simulate import simulate_history
 
 MESSAGES = int(os.environ.get("FLEET_TEST_EXAMPLES", "3000"))
@@ -43,6 +45,8 @@ PER_ROUND = 40
 CATCH_UP = 200
 #: Session that publishes the scenario of the well-behaved.
 SERVICE = "side-info"
+#: Events about what somebody else publishes on the keys of a vehicle.
+FORGED = (EventKind.PROFILE_REFUSED, EventKind.TWO_SOURCES)
 
 
 # --- the server without a network ---------------------------------------------------------------------------------
@@ -63,7 +67,7 @@ class Clock:
     """Stands in for the module ``time``: it goes on by a sample time with each round."""
 
     def __init__(self) -> None:
-        self.now = 1000.0
+        self.now = (CATCH_UP - 1) * SVEA.dt
 
     def monotonic(self) -> float:
         return self.now
@@ -94,7 +98,10 @@ class Bench(ReachServer):
 
     def round(self, received: Iterable[Received]) -> list[tuple[str, bytes]]:
         """Hand messages over and let the server do one round; what it puts."""
+        self._rounds += 1
+        self.clock.now += SVEA.dt
         for message in received:
+            message = replace(message, arrived_ns=self.clock.time_ns())
             if message.key.endswith("/state"):
                 self.ingest.put(message)
             elif message.key.endswith("/alive"):
@@ -102,8 +109,6 @@ class Bench(ReachServer):
             else:
                 self._control.append(message)
         self.puts.clear()
-        self._rounds += 1
-        self.clock.now += SVEA.dt
         with mock.patch.object(server_module, "time", self.clock):
             self.tick()
             if self._rounds % 20 == 0:
@@ -187,11 +192,11 @@ Output = dict[str, list[Any]]
 
 
 def output(puts: list[tuple[str, bytes]], vehicles: Iterable[str]) -> Output:
-    """Tubes and events of some vehicles, but for events about what somebody else publishes of them."""
+    """Tubes and events of some vehicles, but for what is told of forged profiles of theirs."""
     chosen, found = set(vehicles), defaultdict(list)
     for key, payload in puts:
         vehicle, fields = key.split("/")[1], msgpack.unpackb(payload)
-        if vehicle in chosen and FORGER not in fields.get("message", ""):
+        if vehicle in chosen and fields.get("kind") not in FORGED:
             found[vehicle].append(fields)
     return found
 
