@@ -13,6 +13,10 @@ class SessionError(FleetError):
     """No connection to the bus: no router, a port in use, a closed session."""
 
 
+class Stopped(SessionError):  # noqa: N818 - asked for, no fault
+    """No connection, since its caller was told to end while it waited for one."""
+
+
 class KeyIdError(UsageError, ValueError):
     """An id that cannot be one chunk of a key expression."""
 

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
@@ -39,11 +39,19 @@ class Router:
     says. Wherever the file leaves a setting at Zenoh's default, the fleet's own applies: no scouting, no
     shared memory, 10 000 sessions, a lease of 2 s, an admin space that can be read.
 
+    ``warn`` is told each of ``warnings`` before it starts.
+
     Raises ``UsageError`` for a malformed endpoint or a file that cannot be read or is not a router's,
     ``SessionError`` if it cannot listen.
     """
 
-    def __init__(self, listen: Sequence[str] | None = None, *, config_file: Path | None = None) -> None:
+    def __init__(
+        self,
+        listen: Sequence[str] | None = None,
+        *,
+        config_file: Path | None = None,
+        warn: Callable[[str], object] | None = None,
+    ) -> None:
         config = zenoh.Config() if config_file is None else _read(config_file)
         if listen is None and config_file is None:
             listen = (DEFAULT_ROUTER,)
@@ -52,14 +60,20 @@ class Router:
         defaults = zenoh.Config()
         untouched = {k: v for k, v in _SETTINGS.items() if config.get_json(k) == defaults.get_json(k)}
         configure(config, untouched | {"mode": "router"})
+        self.warnings: tuple[str, ...] = _warnings(config)
+        """What the file asks for and does not get, or will regret; one sentence each."""
+        if warn is not None:
+            for warning in self.warnings:
+                warn(warning)
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:
             raise _cannot_listen(error) from error
-        self._open = ExitStack()
-        self._open.enter_context(session)
-        self.endpoints: tuple[str, ...] = _locators(session) or _configured_endpoints(config)
-        """Where it listens; port 0 is resolved unless the file closes the admin space or sets a namespace."""
+        with ExitStack() as opening:
+            opening.enter_context(session)
+            self.endpoints: tuple[str, ...] = _locators(session) or _configured_endpoints(config)
+            """Where it listens; port 0 is resolved unless the file closes the admin space or sets a namespace."""
+            self._open = opening.pop_all()
 
     def close(self) -> None:
         """Stop routing and listening; closing again does nothing."""
@@ -81,6 +95,27 @@ def _read(file: Path) -> zenoh.Config:
     if mode not in (None, "router"):
         raise UsageError(f"router configuration {file}: mode is {mode!r}: write 'router' or leave it out")
     return config
+
+
+def _warnings(config: zenoh.Config) -> tuple[str, ...]:
+    found = []
+    plugins = json.loads(config.get_json("plugins"))
+    if plugins:
+        found.append(
+            f"plugins ({', '.join(plugins)}) are ignored: this router loads none; run zenohd with the file to have them"
+        )
+    starving = [
+        rule["key_expr"]
+        for group in json.loads(config.get_json("downsampling"))
+        for rule in group["rules"]
+        if "*" in rule["key_expr"]
+    ]
+    if starving:
+        found.append(
+            f"downsampling of {', '.join(starving)} is one rate for all keys together: of several vehicles, only the "
+            "first is heard; thin where it is put instead"
+        )
+    return tuple(found)
 
 
 def _locators(session: zenoh.Session) -> tuple[str, ...]:

@@ -5,15 +5,21 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+import zenoh
+
 from fleet_bus import Role, keys, open_session
-from fleet_bus.errors import UsageError
+from fleet_bus.errors import FleetError, UsageError
 from fleet_bus.messages import VehicleProfile
+from fleet_bus.sessions import why_not_connected
+from fleet_cli import logs
 from vehicle_agent.agent import Agent, Report, run
 from vehicle_agent.filters import Filter, PassThrough, filter_for
 from vehicle_agent.recording import load_recording
 from vehicle_agent.route import load_route
 from vehicle_agent.sources import RecordingSource, SimulatedSource, Source
 
+#: Seconds after which agents without a router say so; they go on trying.
+PATIENCE = 5.0
 #: What an agent needs besides its session.
 AgentPlan = tuple[str, VehicleProfile, Source, Filter]
 
@@ -53,9 +59,10 @@ def work(
     """Run agents on one session until stopped, their sources end or ``duration`` seconds have passed."""
     timer = threading.Timer(duration, stop.set) if duration is not None else None
     with ExitStack() as opened:
-        session = opened.enter_context(open_session(Role.AGENT, routers))
+        session = opened.enter_context(open_session(Role.AGENT, routers, stop=stop))
         agents = [opened.enter_context(Agent(session, *plan)) for plan in plans]
-        print(f"agents ready: {', '.join(agent.vehicle for agent in agents)}", flush=True)
+        logs.say(f"agents ready: {', '.join(agent.vehicle for agent in agents)}")
+        threading.Thread(target=_tell_if_alone, args=(session, routers, stop), daemon=True).start()
         if timer is not None:
             timer.daemon = True
             timer.start()
@@ -64,3 +71,17 @@ def work(
     if timer is not None:
         timer.cancel()
     return reports
+
+
+def _tell_if_alone(session: zenoh.Session, routers: Sequence[str], stop: threading.Event) -> None:
+    """Say once why there is no router yet; agents would wait for one in silence."""
+    if not stop.wait(PATIENCE) and not session.is_closed():
+        try:
+            why = why_not_connected(session, routers)
+        except FleetError as error:
+            why = str(error)
+        except zenoh.ZError:
+            # It was closed in this moment.
+            return
+        if why is not None:
+            logs.warn(f"not connected yet, still trying: {why}")

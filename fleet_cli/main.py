@@ -4,17 +4,18 @@ import logging
 import signal
 import sys
 import threading
+import traceback
+from io import StringIO
 from pathlib import Path
 from typing import Annotated
 
-import structlog
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-from fleet_bus.errors import FleetError, ScenarioError, UsageError
+from fleet_bus.errors import FleetError, ScenarioError, Stopped, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
-from fleet_cli import offline
+from fleet_cli import logs, offline
 from fleet_cli.bench import bench
 from fleet_cli.outputs import check_writable, write_json
 from fleet_cli.paper.command import paper
@@ -26,9 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-router_app = typer.Typer(invoke_without_command=True, help="Run the embedded router.")
 scenario_app = typer.Typer(no_args_is_help=True, help="Look at scenario documents.")
-app.add_typer(router_app, name="router")
 app.add_typer(scenario_app, name="scenario")
 
 Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
@@ -37,11 +36,22 @@ _DEFAULT_ROUTERS = [DEFAULT_ROUTER]
 
 def main() -> None:
     """Entry point: errors of the project become one line on stderr and exit code 1 (failed) or 2 (wrong use)."""
+    logs.keep_standard_streams()
     try:
         app()
+    except Stopped:
+        # Told to end before there was anything to do.
+        sys.exit(0)
     except FleetError as error:
-        Console(stderr=True).print(f"[bold red]error[/]: {escape(str(error))}", highlight=False, soft_wrap=True)
+        # Rich itself would fail, or wait, where stderr takes nothing.
+        line = StringIO()
+        console = Console(file=line, force_terminal=sys.stderr is not None and sys.stderr.isatty())
+        console.print(f"[bold red]error[/]: {escape(str(error))}", highlight=False, soft_wrap=True, end="")
+        logs.tell(line.getvalue())
         sys.exit(2 if isinstance(error, UsageError) else 1)
+    except Exception:
+        logs.tell(traceback.format_exc().rstrip())
+        sys.exit(1)
 
 
 @app.callback()
@@ -49,16 +59,7 @@ def common(
     verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice for details.")] = 0,
 ) -> None:
     """Set up the log, which goes to stderr."""
-    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
-    structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
-    )
+    logs.configure((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
 
 
 def stop_on_signals() -> threading.Event:
@@ -69,22 +70,19 @@ def stop_on_signals() -> threading.Event:
     return stop
 
 
-@router_app.callback()
+@app.command()
 def router(
-    context: typer.Context,
     port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 7447,
     listen: Annotated[list[str] | None, typer.Option(help="Endpoints to listen on, instead of --port.")] = None,
     config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
 ) -> None:
     """Run the embedded router until interrupted; prints the endpoints it listens on."""
-    if context.invoked_subcommand is not None:
-        return
     from fleet_bus.router import Router
 
     stop = stop_on_signals()
     endpoints = listen or ([f"tcp/127.0.0.1:{port}"] if config is None else None)
-    with Router(endpoints, config_file=config) as running:
-        print(f"router listens on {' '.join(running.endpoints)}", flush=True)
+    with Router(endpoints, config_file=config, warn=logs.warn) as running:
+        logs.say(f"router listens on {' '.join(running.endpoints)}")
         stop.wait()
 
 
@@ -97,14 +95,14 @@ def reach(
     from reach_server.server import ReachServer
 
     stop = stop_on_signals()
-    with ReachServer(id, router) as server:
-        print(f"reach server {id} ready", flush=True)
+    with ReachServer(id, router, stop=stop) as server:
+        logs.say(f"reach server {id} ready")
         server.run(stop)
 
 
 @app.command("side-info")
 def side_info(
-    scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
+    scenarios: Annotated[list[str] | None, typer.Argument(help="Shipped scenarios or scenario files.")] = None,
     assign: Annotated[
         list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
     ] = None,
@@ -114,7 +112,8 @@ def side_info(
 ) -> None:
     """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.
 
-    Scenario files are watched: a changed one is published once its version is raised and it checks.
+    Scenario files are watched: a changed one is published once its version is raised and it checks. Without a scenario
+    nothing is published but that the service is there.
     """
     from fleet_bus import Role, open_session
     from side_info import watching
@@ -122,12 +121,15 @@ def side_info(
     from side_info.service import EVERY_VEHICLE, SideInfoService
 
     stop = stop_on_signals()
-    loaded = [Scenario.load(name) for name in scenarios]
-    pairs = _pairs(assign) if assign else {EVERY_VEHICLE: loaded[0].name}
-    files = watching.files(scenarios, loaded)
-    with open_session(Role.SERVICE, router) as session:
+    names = scenarios or []
+    loaded = [Scenario.load(name) for name in names]
+    pairs = _pairs(assign or []) if assign or not loaded else {EVERY_VEHICLE: loaded[0].name}
+    files = watching.files(names, loaded)
+    if not loaded:
+        logs.warn("no scenario is named, so none is published")
+    with open_session(Role.SERVICE, router, stop=stop) as session:
         service = SideInfoService(session, loaded, pairs, id, files=files, clock_offset=clock_offset)
-        print(f"side-info publishes {', '.join(s.name for s in loaded)}", flush=True)
+        logs.say(f"side-info publishes {', '.join(s.name for s in loaded) or 'no scenario'}")
         service.run(stop)
 
 

@@ -77,6 +77,7 @@ class Ingest:
         for batch in batches:
             index = batch.index.tolist()
             arrived = np.array([accepted[i].arrived_ns for i in index], dtype=np.int64)
+            known = arrived if arrived.all() else None
             names = tuple(vehicles[i] for i in index)
-            found.append(VehicleBatch(names, batch, tuple(accepted[i].source for i in index), arrived))
+            found.append(VehicleBatch(names, batch, tuple(accepted[i].source for i in index), known))
         return found

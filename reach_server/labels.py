@@ -11,8 +11,9 @@ class Labels:
 
     ``guaranteed`` where the user states every bound that the method rests on; ``calibrated`` where these come from
     data, and for the method of that name; ``uncovered`` where one is missing, so that nothing is claimed;
-    ``contradicted`` where the record of a vehicle says that the label was wrong: a miss of a guaranteed set, data that
-    excludes the bounds, or more misses than the confidence of calibrated sets explains (docs: concepts/guarantees).
+    ``contradicted`` where the record of a vehicle says that the label was wrong: a miss of a guaranteed set or data
+    that excludes the bounds, until these have held for long enough since; a pose that jumps again and again; or more
+    misses than the confidence of calibrated sets explains (docs: concepts/guarantees).
     """
 
     def __init__(

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -62,15 +63,19 @@ class ReachServer:
     """One reach server between ``with``; ``run`` works until told to stop.
 
     Three sessions: *input* carries states only, *control* everything rare (liveliness tokens in a session slow
-    down its data), *output* the tubes. Raises ``SessionError`` if no router answers.
+    down its data), *output* the tubes. Raises ``SessionError`` if no router answers, ``Stopped`` if ``stop`` is set
+    before one does.
     """
 
-    def __init__(self, instance: str, routers: Sequence[str] = (DEFAULT_ROUTER,)) -> None:
+    def __init__(
+        self, instance: str, routers: Sequence[str] = (DEFAULT_ROUTER,), *, stop: threading.Event | None = None
+    ) -> None:
         self.instance = keys.check_id(instance, "server")
         self.rejections = Rejections()
         self.ingest = Ingest(self.rejections)
         self.fleet = Fleet(self.rejections)
         self._routers = routers
+        self._stop = stop
         self._control: deque[Received | tuple[str, bool]] = deque()
         self._open = ExitStack()
         self._tubes: dict[str, CachedPublisher] = {}
@@ -92,14 +97,17 @@ class ReachServer:
         self._presence = Presence()
         self._load = Load()
         self._limit = EventLimit()
+        self._others = OtherServers("", instance)
+        self._queries = ThreadPoolExecutor(QUERIES, thread_name_prefix="cache-query")
         #: Why vehicles have no tube, by id.
         self._waiting: dict[str, str] = {}
 
     def __enter__(self) -> "ReachServer":
         with ExitStack() as opening:
-            self._output: zenoh.Session = opening.enter_context(open_session(Role.SERVICE, self._routers))
-            control = opening.enter_context(open_session(Role.SERVICE, self._routers))
-            self._query = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            opened = partial(open_session, Role.SERVICE, self._routers, stop=self._stop)
+            self._output: zenoh.Session = opening.enter_context(opened())
+            control = opening.enter_context(opened())
+            self._query = opening.enter_context(opened())
             declare = opening.enter_context
             status = keys.service_status("reach", self.instance)
             self._status = declare(declare_cached_publisher(self._output, status, ServiceStatus.encoding(), cache=1))
@@ -108,7 +116,6 @@ class ReachServer:
                 declare_cached_publisher(self._output, own_events, Event.encoding(), cache=EVENT_CACHE)
             )
             self._others = OtherServers(str(self._output.zid()), self.instance)
-            self._queries = ThreadPoolExecutor(QUERIES, thread_name_prefix="cache-query")
             opening.callback(self._queries.shutdown, wait=False, cancel_futures=True)
             for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS, keys.ALL_STATUS):
                 declare(
@@ -117,11 +124,11 @@ class ReachServer:
                     )
                 )
             declare(watch_alive(control, keys.ALL_ALIVE, lambda key, alive: self._control.append((key, alive))))
-            states = opening.enter_context(open_session(Role.SERVICE, self._routers))
+            states = opening.enter_context(opened())
             declare(declare_recovering_subscriber(states, keys.ALL_STATES, self.ingest.put, history=HISTORY))
             declare(declare_alive(control, keys.service("reach", self.instance)))
+            _log.info("reach server ready", id=self.instance, routers=list(self._routers))
             self._open = opening.pop_all()
-        _log.info("reach server ready", id=self.instance, routers=list(self._routers))
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -357,6 +364,7 @@ class ReachServer:
     def status(self) -> ServiceStatus:
         """Counters and gauges of this moment."""
         filled = [count for engine in self.fleet.engines for count in engine.window_filled().tolist()]
+        clocks = sorted(self.fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:100]
         return ServiceStatus(
             kind="reach", instance=self.instance, t=time.time_ns(), started=self._started,
             counters={
@@ -373,7 +381,8 @@ class ReachServer:
             },
             refused=self.rejections.snapshot(),
             waiting={vehicle: why[:200] for vehicle, why in islice(sorted(self._waiting.items()), 100)},
-            clocks=dict(sorted(self.fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:100]),
+            clock_offsets={vehicle: offset for vehicle, (offset, _) in clocks},
+            clock_spreads={vehicle: spread for vehicle, (_, spread) in clocks},
             problems=[*self._others.problems, *([self._load.message] if self._load.late else [])][:32],
         )  # fmt: skip
 

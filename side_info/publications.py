@@ -28,10 +28,12 @@ class Publications:
         self._newest: dict[str, tuple[zenoh.KeyExpr, bytes, str, zenoh.Timestamp]] = {}
 
     def __enter__(self) -> Self:
-        for key_expression in self._queryable:
-            # Not complete: another service may publish other scenarios, and a query is to reach both.
-            queryable = self._session.declare_queryable(key_expression, self._answer, complete=False)
-            self._declared.callback(queryable.undeclare)
+        with ExitStack() as opening:
+            for key_expression in self._queryable:
+                # Not complete: another service may publish other scenarios, and a query is to reach both.
+                queryable = self._session.declare_queryable(key_expression, self._answer, complete=False)
+                opening.callback(queryable.undeclare)
+            self._declared = opening.pop_all()
         return self
 
     def __exit__(self, *exc_info: object) -> None:

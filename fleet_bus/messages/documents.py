@@ -12,7 +12,6 @@ from fleet_bus.messages import ranges
 Id = Annotated[str, Field(pattern=f"^{keys.ID_PATTERN.pattern}$")]
 Nanoseconds = Annotated[int, ranges.TIME]
 Counter = Annotated[int, ranges.COUNTER]
-Clock = Annotated[tuple[Annotated[float, ranges.CLOCK], Annotated[float, ranges.CLOCK_SPREAD]], Field(strict=False)]
 
 #: Problems of a field that are counted under a reason of their own, where there are several the first.
 _REASONS: Final = {"finite_number": "not_finite", ranges.OUTSIDE: "range"}
@@ -152,11 +151,14 @@ class ServiceStatus(Document):
     waiting: dict[Id, Annotated[str, Field(max_length=200)]] = Field(
         default_factory=dict, max_length=100, description="vehicles without a tube, and why; the first 100"
     )
-    clocks: dict[Id, Clock] = Field(
+    clock_offsets: dict[Id, Annotated[float, ranges.GAUGE]] = Field(
         default_factory=dict,
         max_length=100,
-        description="of the 100 vehicles whose clocks are furthest off: stamp minus time of arrival, s, the greatest "
-        "of the last 10 to 20 s and by how much the others were less",
+        description="stamp minus time of arrival, s, the greatest of the last 10 to 20 s, of the 100 vehicles whose "
+        "clocks are furthest off",
+    )
+    clock_spreads: dict[Id, Annotated[float, ranges.SIZE]] = Field(
+        default_factory=dict, max_length=100, description="by how much the other differences were less, s"
     )
     problems: list[Annotated[str, Field(max_length=300)]] = Field(
         default_factory=list, max_length=32, description="what is wrong with the service as a whole, now"

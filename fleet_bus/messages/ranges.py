@@ -126,9 +126,6 @@ DETAIL: Final = Range(-1e300, 1e300)
 AHEAD: Final = Range(1, LATEST + LONGEST_HORIZON * 60 * 10**9, "ns")
 DURATION: Final = Range(0.0, 1e6, "s")
 MISS: Final = Range(0.0, 1e39)
-#: Seconds between two times, and by how much such differences spread.
-CLOCK: Final = Range(-1e10, 1e10, "s")
-CLOCK_SPREAD: Final = Range(0.0, 2e10, "s")
 GAUGE: Final = Range(-1e30, 1e30)
 
 #: What a server keeps of one vehicle of a class may take this many bytes, and a tube as many as a message may have.
@@ -157,6 +154,6 @@ FIELDS: Final[Mapping[str, Mapping[str, Range]]] = {
     "Event": {"t": TIME, "details.*": DETAIL},
     "ServiceStatus": {
         "t": TIME, "started": TIME, "counters.*": COUNTER, "gauges.*": GAUGE, "refused.*": COUNTER,
-        "clocks.*": CLOCK, "clocks.*[1]": CLOCK_SPREAD,
+        "clock_offsets.*": GAUGE, "clock_spreads.*": SIZE,
     },
 }  # fmt: skip

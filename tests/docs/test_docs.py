@@ -131,6 +131,7 @@ def test_every_key_encoding_and_reason_is_on_the_wire_page() -> None:
     for key in (
         keys.state("v"), keys.truth("v"), keys.profile("v"), keys.alive("v"), keys.tube("v"), keys.event("v"),
         keys.document("s"), keys.assignment("s", "v"), keys.service("k", "i"), keys.service_status("k", "i"),
+        keys.service_event("k", "i"),
     ):  # fmt: skip
         shown = key.replace("spec/s", "spec/<scenario>").replace("svc/k/i", "svc/<kind>/<instance>")
         shown = re.sub(r"/v(/|$)", r"/<vehicle>\1", shown)

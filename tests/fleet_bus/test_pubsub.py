@@ -14,9 +14,13 @@ from pathlib import Path
 import pytest
 import zenoh
 from structlog.testing import capture_logs
+from zenoh import ext
 
+from fleet_bus.codec import check_encoding
+from fleet_bus.errors import MessageError
 from fleet_bus.pubsub import (
     CachedPublisher,
+    Declared,
     Received,
     declare_alive,
     declare_cached_publisher,
@@ -349,13 +353,134 @@ def test_a_failing_callback_is_logged_and_hears_the_next_sample(agent: zenoh.Ses
     ]
 
 
-def test_a_delete_is_not_passed_on_as_an_empty_put(agent: zenoh.Session) -> None:
+def test_a_delete_comes_without_an_encoding_of_ours_live_and_out_of_a_cache(
+    agent: zenoh.Session, service: zenoh.Session
+) -> None:
+    live: list[Received] = []
+    late: list[Received] = []
+    cache = ext.CacheConfig(5)
+    with subscribe(service, STATE, live.append):
+        publisher = ext.declare_advanced_publisher(agent, STATE, encoding=ENCODING, cache=cache)
+        wait_until(lambda: live, meanwhile=lambda: publisher.put(b"1"))
+        publisher.delete()
+        wait_until(lambda: live[-1].payload == b"")
+        with declare_recovering_subscriber(service, STATE, late.append, history=5):
+            wait_until(lambda: late and late[-1].payload == b"")
+        publisher.undeclare()  # type: ignore[no-untyped-call]
+    for received in (live, late):
+        assert received[-1].encoding == "zenoh/bytes"
+        with pytest.raises(MessageError, match="encoding"):
+            check_encoding(received[-1].encoding, "fleet.state", 1)
+
+
+def test_a_callback_is_not_called_once_closing_has_returned(agent: zenoh.Session) -> None:
+    began, goes_on = threading.Event(), threading.Event()
+    calls: list[bytes] = []
+    torn_down = threading.Event()
+    late: list[bytes] = []
+
+    def slow(sample: Received) -> None:
+        calls.append(sample.payload)
+        began.set()
+        goes_on.wait(10)
+        if torn_down.is_set():
+            late.append(sample.payload)
+
+    last = threading.Event()
+    with subscribe(agent, "fleet/z/state", lambda _: last.set()):
+        subscriber = subscribe(agent, STATE, slow)
+        putting = threading.Thread(target=lambda: put_all(agent, [b"1", b"2", b"3"]))
+        putting.start()
+        assert began.wait(5)
+
+        def close() -> None:
+            subscriber.close()
+            torn_down.set()
+
+        closing = threading.Thread(target=close)
+        closing.start()
+        # It waits for the call that is under way.
+        assert not torn_down.wait(0.1)
+        goes_on.set()
+        closing.join(10)
+        putting.join(10)
+        assert torn_down.is_set()
+        before = len(calls)
+        wait_until(last.is_set, meanwhile=lambda: agent.put("fleet/z/state", b""))
+    assert late == []
+    assert len(calls) == before
+
+
+def put_all(session: zenoh.Session, payloads: Sequence[bytes]) -> None:
+    for payload in payloads:
+        session.put(STATE, payload)
+
+
+def test_what_is_queued_for_a_callback_is_dropped_by_closing(agent: zenoh.Session, service: zenoh.Session) -> None:
+    seen: list[bytes] = []
+    subscribers: list[Declared] = []
+    late: list[bytes] = []
+    closed = threading.Event()
+
+    def close_at_the_first(sample: Received) -> None:
+        (late if closed.is_set() else seen).append(sample.payload)
+        subscribers[0].close()
+        closed.set()
+
+    subscribers.append(subscribe(service, STATE, close_at_the_first))
+    after = threading.Event()
+    with subscribe(service, "fleet/z/state", lambda _: after.set()):
+        wait_until(closed.is_set, meanwhile=lambda: put_all(agent, [b"x"] * 1000))
+        wait_until(after.is_set, meanwhile=lambda: agent.put("fleet/z/state", b""))
+    assert len(seen) == 1
+    assert late == []
+
+
+@contextmanager
+def linked_routers(tmp_path: Path) -> Iterator[tuple[str, str]]:
+    """Two routers that are linked, by their endpoints."""
+    file = tmp_path / "linked.json5"
+    with Router(["tcp/127.0.0.1:0"]) as first:
+        file.write_text(f"{{connect: {{endpoints: ['{first.endpoints[0]}']}}}}", encoding="utf-8")
+        with Router(["tcp/127.0.0.1:0"], config_file=file) as second:
+            yield first.endpoints[0], second.endpoints[0]
+
+
+def test_over_two_linked_routers_readers_with_history_hear_everything_once(tmp_path: Path) -> None:
+    plain: list[Received] = []
+    recovered: list[Received] = []
+    with (
+        linked_routers(tmp_path) as routers,
+        open_session(Role.AGENT, routers) as agent,
+        open_session(Role.SERVICE, routers[1:]) as service,
+        subscribe(service, STATE, plain.append),
+        declare_recovering_subscriber(service, ALL_STATES, recovered.append, history=10),
+        declare_cached_publisher(agent, STATE, ENCODING, cache=2000) as publisher,
+    ):
+        wait_until(lambda: len(list(agent.info.routers_zid())) == 2)
+        numbers = iter(range(10_000))
+        # From the first double on, both ways are in use.
+        wait_until(
+            lambda: len(plain) > len({sample.payload for sample in plain}),
+            meanwhile=lambda: put_numbers(publisher, [next(numbers)]),
+        )
+        put_numbers(publisher, range(10_000, 10_020))
+        wait_until(lambda: recovered and recovered[-1].payload == b"10019")
+        asked = numbers_of(cached(service, 2000))
+    heard = numbers_of(recovered)
+    assert len(heard) == len(set(heard))
+    assert asked[-20:] == heard[-20:] == list(range(10_000, 10_020))
+    assert len(asked) == len(set(asked))
+
+
+def test_without_history_a_silent_publisher_sends_its_whole_cache(agent: zenoh.Session, service: zenoh.Session) -> None:
     received: list[Received] = []
-    with subscribe(agent, STATE, received.append):
-        agent.delete(STATE)
-        agent.put(STATE, b"1")
-        wait_until(lambda: received)
-    assert [sample.payload for sample in received] == [b"1"]
+    with declare_cached_publisher(agent, STATE, ENCODING, cache=50, heartbeat=0.2) as publisher:
+        put_numbers(publisher, range(50))
+        wait_until(lambda: len(cached(service, 100)) == 50)
+        with declare_recovering_subscriber(service, ALL_STATES, received.append, history=0):
+            wait_until(lambda: len(received) == 50)
+    assert numbers_of(received) == list(range(50))
 
 
 def test_what_is_declared_outlives_the_name_of_its_session(router: Router, service: zenoh.Session) -> None:

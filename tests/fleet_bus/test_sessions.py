@@ -1,16 +1,19 @@
 """Sessions: who opens without a router, who waits, and what is said when none answers."""
 
+import json
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import zenoh
 
-from fleet_bus.errors import SessionError, UsageError
+from fleet_bus.errors import SessionError, Stopped, UsageError
 from fleet_bus.pubsub import Received, declare_alive, declare_cached_publisher, subscribe, watch_alive
 from fleet_bus.router import Router
-from fleet_bus.sessions import Role, check_endpoint, open_session
+from fleet_bus.sessions import Role, check_endpoint, open_session, why_not_connected
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.integration
@@ -63,6 +66,89 @@ def test_a_port_that_accepts_and_is_mute_costs_no_more_than_the_timeout() -> Non
         with pytest.raises(SessionError, match="no router answers"):
             open_session(Role.SERVICE, [f"tcp/127.0.0.1:{mute.getsockname()[1]}"], timeout=0.5)
         assert time.monotonic() - start < 2.0
+
+
+@pytest.fixture
+def mute_endpoint() -> Iterator[tuple[str, socket.socket]]:
+    """An endpoint that accepts connections and says nothing."""
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        mute.settimeout(10)
+        yield f"tcp/127.0.0.1:{mute.getsockname()[1]}", mute
+
+
+def test_waiting_ends_when_told_to(free_endpoint: str) -> None:
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(open_session, Role.SERVICE, [free_endpoint], timeout=60.0, stop=stop)
+        stop.set()
+        with pytest.raises(Stopped):
+            opening.result(timeout=10)
+
+
+def test_waiting_for_a_mute_router_ends_when_told_to(mute_endpoint: tuple[str, socket.socket]) -> None:
+    endpoint, mute = mute_endpoint
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(open_session, Role.SERVICE, [endpoint], timeout=60.0, stop=stop)
+        connection, _ = mute.accept()
+        with connection:
+            # Now Zenoh waits for an answer, for a minute.
+            stop.set()
+            with pytest.raises(Stopped):
+                opening.result(timeout=10)
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_nothing_is_opened_by_who_was_told_to_end_before(role: Role, router: Router) -> None:
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        open_session(role, router.endpoints, stop=stop)
+
+
+def test_a_session_that_opens_too_late_is_closed(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[zenoh.Session] = []
+    begun, goes_on, stop = threading.Event(), threading.Event(), threading.Event()
+    really_open = zenoh.open
+
+    def open_slowly(config: zenoh.Config) -> zenoh.Session:
+        begun.set()
+        goes_on.wait(10)
+        opened.append(really_open(config))
+        return opened[-1]
+
+    monkeypatch.setattr(zenoh, "open", open_slowly)
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(open_session, Role.SERVICE, router.endpoints, stop=stop)
+        assert begun.wait(5)
+        stop.set()
+        with pytest.raises(Stopped):
+            opening.result(timeout=10)
+        goes_on.set()
+    wait_until(lambda: opened and opened[0].is_closed())
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_sessions_reserve_no_shared_memory(role: Role, router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    configs: list[zenoh.Config] = []
+    really_open = zenoh.open
+
+    def open_and_note(config: zenoh.Config) -> zenoh.Session:
+        configs.append(config)
+        return really_open(config)
+
+    monkeypatch.setattr(zenoh, "open", open_and_note)
+    with open_session(role, router.endpoints):
+        (config,) = configs
+        assert json.loads(config.get_json("transport/shared_memory/enabled")) is False
+
+
+def test_an_agent_without_a_router_can_say_why(free_endpoint: str, router: Router) -> None:
+    with open_session(Role.AGENT, [free_endpoint]) as alone, open_session(Role.AGENT, router.endpoints) as joined:
+        assert "no router answers" in str(why_not_connected(alone, [free_endpoint]))
+        wait_until(lambda: why_not_connected(joined, router.endpoints) is None)
 
 
 def test_agent_opens_at_once_without_router_and_connects_when_one_comes(free_endpoint: str) -> None:

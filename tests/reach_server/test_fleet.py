@@ -177,6 +177,20 @@ def test_repeated_samples_are_counted_and_make_no_tube() -> None:
     assert (outcome.stored, outcome.repeated, outcome.tubes) == (0, 50, [])
 
 
+def test_a_leap_is_counted_and_told_and_so_is_what_is_believed() -> None:
+    desk = Desk()
+    desk.fleet.set_profile("car", SMALL)
+    desk.process(desk.states("car", 0, NOW))
+    outcome = desk.process(desk.states("car", NOW, NOW + 1, dt_ns=20 * SVEA.dt_ns))
+    assert desk.refused == {"leap": 1}
+    assert kinds(outcome.events) == [EventKind.LEAP]
+    outcome = desk.process(desk.states("car", NOW + 1, NOW + 6, dt_ns=20 * SVEA.dt_ns))
+    assert desk.refused == {"leap": 3, "resynced": 1}
+    assert kinds(outcome.events) == [EventKind.LEAP]
+    assert outcome.events[0].details == {"believed": True}
+    assert desk.fleet.window_keys("car")[-1] == (1, NOW + 5)
+
+
 def test_stamps_that_do_not_advance_are_counted() -> None:
     desk = Desk()
     desk.fleet.set_profile("a", SMALL)

@@ -70,7 +70,7 @@ def in_schema(message: str, field: str) -> str:
     """The place of a field of the table in its schema."""
     if message == "StateSample":
         return field.removesuffix("[]")
-    if message in ("ReachTube", "ServiceStatus"):
+    if message == "ReachTube":
         return field.partition("[")[0]
     return field.replace("noise.*.", "noise.process.")
 
@@ -160,8 +160,6 @@ def documented(message: str, field: str, number: float) -> bytes:
     fields = msgpack.unpackb(example.encode())
     if message == "VehicleProfile":
         fields = profile_with(field, number)
-    elif field.startswith("clocks"):
-        fields["clocks"] = {"a": [0.0, number] if field.endswith("[1]") else [number, 0.0]}
     elif field.endswith(".*"):
         fields[field.removesuffix(".*")] = {"a": number}
     else:
@@ -239,7 +237,7 @@ def test_the_ends_of_a_range_are_read_and_what_lies_beyond_is_refused_by_name(me
             decode(made(message, field, number))
         assert caught.value.reason == "range"
         # A whole array is named by its key, an entry of a list or map with where it stands.
-        name = field.removesuffix("[1]").removesuffix("[]").removesuffix(".*").replace("noise.*", "noise.process")
+        name = field.removesuffix("[]").removesuffix(".*").replace("noise.*", "noise.process")
         assert name.replace("state.*", "state.x").replace("inputs.*", "inputs.u") in caught.value.detail
         if field != "p":
             assert str(span) in caught.value.detail
