@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -34,6 +34,7 @@ Floats = NDArray[np.float64]
 STEADY = tuple(f"steady{i}" for i in range(8))
 WILD = tuple(f"wild{i}" for i in range(4))
 VEHICLES = (*STEADY, *WILD)
+FORGER = "forger"
 METHODS = ("default", "calibrated", "set_membership", "residual_hull", "paper", "lti")
 EARLIEST, LATEST = int(ranges.TIME.low), int(ranges.TIME.high)
 
@@ -60,19 +61,19 @@ class Sender:
 
 
 class Hostile:
-    """An endless stream of messages that decode, drawn with ``seed``; ``shared`` are profiles of the well-behaved.
+    """An endless stream of messages that decode, drawn with ``seed``; ``sound`` are the well-behaved, with profiles.
 
     ``classes`` is the number of other profiles that come; None for a new one each time.
     """
 
-    def __init__(self, seed: int, shared: tuple[VehicleProfile, ...], classes: int | None = None) -> None:
+    def __init__(self, seed: int, sound: Mapping[str, VehicleProfile], classes: int | None = None) -> None:
         self._rng = np.random.default_rng(seed)
-        self._shared = shared
+        self._shared, self._sound = list(sound.values()), list(sound)
         self._pool = [self._odd_profile() for _ in range(classes or 0)]
         self._senders = {vehicle: Sender() for vehicle in VEHICLES}
         kinds: list[tuple[Callable[[], list[Received]], float]] = [
-            (self.states, 30), (self.drive, 60), (self.profile, 1), (self.assignment, 5), (self.document, 1),
-            (self.token, 2), (self.misplaced, 1),
+            (self.states, 30), (self.drive, 60), (self.profile, 2), (self.assignment, 5), (self.document, 1),
+            (self.token, 2), (self.misplaced, 1), (self.forged, 1),
         ]  # fmt: skip
         self._kinds = [kind for kind, _ in kinds]
         self._weights = np.array([weight for _, weight in kinds]) / sum(weight for _, weight in kinds)
@@ -108,6 +109,10 @@ class Hostile:
 
     def _numbers(self, span: Range, *shape: int) -> Floats:
         return np.array([self._number(span) for _ in range(int(np.prod(shape)))]).reshape(shape)
+
+    def _session(self, own: str) -> str:
+        """The session of a writer, now and then another one."""
+        return own if self._chance(0.999) else str(self._one_of(["", "another", "a third"]))
 
     # --- states -------------------------------------------------------------------------------------------------------
     def states(self) -> list[Received]:
@@ -163,7 +168,7 @@ class Hostile:
         return found
 
     def _state(self, vehicle: str, sample: StateSample) -> Received:
-        return Received(keys.state(vehicle), sample.encode(), ENCODING, None)
+        return Received(keys.state(vehicle), sample.encode(), ENCODING, None, self._session(vehicle))
 
     # --- rare messages ------------------------------------------------------------------------------------------------
     def profile(self) -> list[Received]:
@@ -180,7 +185,10 @@ class Hostile:
         sender.shift = float(self._one_of([0.0, 0.0, 0.0, 1e15]))
         # With what a cache holds, most have a model at once.
         caught_up = self._further(vehicle, int(self._one_of([0, 60, 130])))
-        return [Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None), *caught_up]
+        return [
+            Received(keys.profile(vehicle), profile.encode(), VehicleProfile.encoding(), None, self._session(vehicle)),
+            *caught_up,
+        ]
 
     def _odd_profile(self) -> VehicleProfile:
         n, m = int(self._one_of([1, 2, 3, 4, 6])), int(self._one_of([0, 1, 2]))
@@ -231,13 +239,21 @@ class Hostile:
         """A hostile vehicle takes part in a scenario, or no longer, from any time on."""
         vehicle = self._one_of(VEHICLES)
         sender = self._senders[vehicle]
-        name = self._one_of([*texts(), "box", "never-published"])
+        name = self._one_of([*texts(), "never-published"])
         zero = self._whole(ranges.TIME, START, sender.t, sender.t + 10**9, sender.t - 10**9)
         offset = self._one_of([0.0, 0.0, 0.02, 3600.0, 5e-324, 1.0])
         assignment = Assignment(
             scenario=name, vehicle=vehicle, time_zero=zero, active=self._chance(0.8), clock_offset=offset
         )
-        return [Received(keys.assignment(name, vehicle), assignment.encode(), Assignment.encoding(), None)]
+        return [
+            Received(
+                keys.assignment(name, vehicle),
+                assignment.encode(),
+                Assignment.encoding(),
+                None,
+                self._session("service"),
+            )
+        ]
 
     def document(self) -> list[Received]:
         """A document that ships, with another version, a time zero, or a constant that is something else."""
@@ -249,7 +265,11 @@ class Hostile:
         if self._chance(0.3):
             text = re.sub(r"\[0:T\]", f"[0:{self._one_of(['1 ms', '1000000 s', '5 s'])}]", text)
         document = ScenarioDocument(scenario=name, version=version, text=text)
-        return [Received(keys.document(name), document.encode(), ScenarioDocument.encoding(), None)]
+        return [
+            Received(
+                keys.document(name), document.encode(), ScenarioDocument.encoding(), None, self._session("service")
+            )
+        ]
 
     def token(self) -> list[Received]:
         """The liveliness token of a hostile vehicle comes (payload 1) or goes (payload 0)."""
@@ -263,3 +283,22 @@ class Hostile:
         )
         payload = self._one_of([message.payload, b"", msgpack.packb({"v": 2**64 - 1}), b"\xdd\xff\xff\xff\xff"])
         return [Received(wrong, payload, message.encoding, None)]
+
+    def forged(self) -> list[Received]:
+        """A profile, a document or an assignment of the well-behaved, from somebody else."""
+        kind = int(self._rng.integers(3))
+        if kind == 0:
+            profile = self._odd_profile()
+            key = keys.profile(self._one_of(self._sound))
+            return [Received(key, profile.encode(), VehicleProfile.encoding(), None, FORGER)]
+        if kind == 1:
+            text = re.sub(r"(?m)^scenario: .*", "scenario: box", texts()["parking-lot"])
+            version = self._whole(ranges.VERSION, 2, 3)
+            text = re.sub(r"(?m)^version: \d+", f"version: {version}", text)
+            document = ScenarioDocument(scenario="box", version=version, text=text)
+            return [Received(keys.document("box"), document.encode(), ScenarioDocument.encoding(), None, FORGER)]
+        vehicle = self._one_of(self._sound)
+        assignment = Assignment(
+            scenario="box", vehicle=vehicle, time_zero=self._whole(ranges.TIME, START), active=self._chance(0.5)
+        )
+        return [Received(keys.assignment("box", vehicle), assignment.encode(), Assignment.encoding(), None, FORGER)]
