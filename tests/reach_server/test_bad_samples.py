@@ -11,6 +11,7 @@ from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
 from reach_server.regression import runs, wrap
 from reach_server.ring import LEAST_LINKS, OLDER_EPOCH, RESYNC, SEEN_CHANGE
 from reach_server.windows import Appended, Floats, SampleBatch, Window
+from tests.examples import examples
 
 STEP = 50_000_000
 START = 10**18
@@ -302,7 +303,7 @@ class Twin:
         return what
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60))
 @given(st.lists(st.sampled_from(["next"] * 6 + ["again", "back", "ahead", "late", "lost", "anew"]), max_size=60))
 def test_stamps_are_judged_as_by_the_twin(story: list[str]) -> None:
     w, twin = window(), Twin()
