@@ -12,26 +12,32 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 UV_VERSION := 0.13.9
 ARGS ?=
 
-.PHONY: help demo paper test lint bench docs requirements clean
+.PHONY: help demo paper test campaign lint bench docs requirements clean kernels all-kernels
 
 help:
 	@echo "make demo          router, services and simulated vehicles on this machine"
 	@echo "make paper         the paper's tables and figures, recomputed"
 	@echo "make test          lint, documentation, tests"
+	@echo "make campaign      every property on 1000 examples from a fresh seed; FLEET_TEST_EXAMPLES=100000 and"
+	@echo "                   FLEET_TEST_SEED=N say otherwise, ARGS goes to pytest"
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documentation into site/"
 	@echo "make bench         speed and tightness beside peers, into bench/"
 	@echo "make requirements  pin anew from pyproject.toml (ARGS=--upgrade: newest versions)"
 	@echo "make clean         remove everything that make has made, $(VENV) too"
 
-demo: $(VENV)/.compiled
+demo: kernels
 	@$(BIN)/fleet demo $(ARGS)
 
-paper: $(VENV)/.all-compiled
+paper: all-kernels
 	@$(BIN)/fleet paper $(ARGS)
 
-test: lint docs $(VENV)/.all-compiled
+test: lint docs all-kernels
 	@$(BIN)/python -m pytest -q $(ARGS)
+
+campaign: $(VENV)/.dev all-kernels
+	@FLEET_TEST_SEED="$${FLEET_TEST_SEED:-fresh}" FLEET_TEST_EXAMPLES="$${FLEET_TEST_EXAMPLES:-1000}" \
+	    $(BIN)/python -m pytest -v -m property $(ARGS)
 
 lint: $(VENV)/.dev
 	@$(BIN)/ruff check --quiet .
@@ -42,7 +48,7 @@ docs: $(VENV)/.dev
 	@# Not --quiet: what is not logged, --strict does not count.
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir site
 
-bench: $(VENV)/.dev $(VENV)/.all-compiled
+bench: $(VENV)/.dev all-kernels
 	@$(BIN)/fleet bench $(ARGS)
 
 # The first python that is new enough and can make a virtual environment; PYTHON=... overrides.
@@ -69,14 +75,13 @@ $(VENV)/.project: pyproject.toml $(VENV)/.runtime $(wildcard */py.typed)
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Kernels are compiled at their first call; the first demo need not wait for that in the middle of a drive.
-$(VENV)/.compiled: $(VENV)/.project
+# Kernels are compiled at their first call; the first demo need not wait for that in the middle of a drive. No stamp: they
+# are cached by their sources, so that this takes seconds where nothing is to be done, and only looking tells.
+kernels: $(VENV)/.project
 	@$(BIN)/python -m reach_server.warm_up set_membership
-	@touch $@
 
-$(VENV)/.all-compiled: $(VENV)/.project
+all-kernels: $(VENV)/.project
 	@$(BIN)/python -m reach_server.warm_up
-	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.project
 	@echo "installing $<"

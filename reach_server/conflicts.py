@@ -11,8 +11,11 @@ from reach_server.factor_sets import FactorSet
 from reach_server.predicates import Literals
 from reach_server.sets.arrays import Array
 
-#: Weights below this part of the greatest one are taken for rounding.
+#: Weights below this part of the greatest one are taken for rounding, and a conflict of less than this part of what a
+#: row reaches for none.
 _SMALL = 1e-6
+#: Scaled rows are whole multiples of this: equal predicates in other units give equal programs, whatever was rounded.
+_GRID = 2.0**-40
 
 
 def conflicting(
@@ -45,10 +48,12 @@ def conflicting(
 
 
 def _weights(matrix: Array, lower: Array, upper: Array) -> NDArray[np.float64]:
-    """Absolute dual weights (r,) of ``lower <= Aβ <= upper``, ``|β| <= 1``, with the least sum of violations."""
+    """Absolute dual weights (r,) of ``lower <= Aβ <= upper``, ``|β| <= 1``, with the least sum of violations; of rows
+    scaled to a reach of 1."""
     count, g = matrix.shape
     if not count:
         return np.zeros(0)
+    matrix, lower, upper = _scaled(matrix, lower, upper)
     bounded_low, bounded_high = np.isfinite(lower), np.isfinite(upper)
     over, under = np.eye(count)[bounded_high], np.eye(count)[bounded_low]
     table = np.concatenate(
@@ -59,10 +64,27 @@ def _weights(matrix: Array, lower: Array, upper: Array) -> NDArray[np.float64]:
     box = [(-1.0, 1.0)] * g + [(0.0, None)] * count
     found = linprog(cost, A_ub=table, b_ub=limit, bounds=box, method="highs")
     weights = np.zeros(count)
-    if found.status != 0 or found.fun <= _SMALL * np.abs(matrix).max(initial=1e-300):
+    if found.status != 0 or found.fun is None or found.fun <= _SMALL:
         return weights
     dual = np.abs(found.ineqlin.marginals)
     high = int(bounded_high.sum())
     weights[bounded_high] += dual[:high]
     weights[bounded_low] += dual[high:]
     return weights
+
+
+def _scaled(matrix: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """The same conditions, each row divided by its reach ``Σ|a|`` over the factors; bounds that no factor comes near
+    are moved nearer. A row of zeros, which has no reach, keeps the sign of what it asks for only."""
+    largest = np.abs(matrix).max(axis=1)
+    # Twice, since a sum of very large numbers overflows and a quotient by a very small one.
+    first = np.where(largest > 0, largest, 1.0)[:, None]
+    unit = matrix / first
+    reach = np.where(largest > 0, np.abs(unit).sum(axis=1), 1.0)[:, None]
+    with np.errstate(over="ignore"):
+        bounds = np.stack([lower, upper], axis=1) / first / reach
+    zero = (largest == 0)[:, None]
+    bounds = np.where(zero, np.sign(bounds), np.clip(bounds, -2.0, 2.0))
+    bounds = np.where(np.isinf(np.stack([lower, upper], axis=1)), np.stack([lower, upper], axis=1), bounds)
+    unit, bounds = (np.where(np.isfinite(x), np.rint(x / _GRID) * _GRID, x) for x in (unit / reach, bounds))
+    return unit, bounds[:, 0], bounds[:, 1]

@@ -60,7 +60,7 @@ def main(methods: Sequence[str] = METHODS) -> int:
         x[k + 1] = [x[k, 0] + 0.05 * v * np.cos(yaw), x[k, 1] + 0.05 * v * np.sin(yaw), yaw + 0.05 * u[k, 0], v]
     x += rng.uniform(-0.001, 0.001, x.shape)
     for method in methods:
-        print(f"compiling {method}, once; it takes up to two minutes …", file=sys.stderr, flush=True)
+        print(f"kernels of {method}: a second, or up to two minutes to compile them …", file=sys.stderr, flush=True)
         engine = Engine(profile(), method=method, planned=True)
         engine.add("car")
         for scenario in (False, True):

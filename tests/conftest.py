@@ -1,9 +1,33 @@
-"""What every test can rely on."""
+"""What every test can rely on: a fresh log, the same random examples in every run, kernels that are compiled."""
 
-from collections.abc import Iterator
+import functools
+import io
+import shlex
+import sys
+import time
+from collections.abc import Generator, Iterator
+from contextlib import nullcontext, redirect_stderr
+from typing import Any
 
 import pytest
 import structlog
+from hypothesis import HealthCheck, is_hypothesis_test, settings
+
+from tests.examples import asked, campaign, examples, seed, seeded
+
+# No test depends on the speed of the machine: neither on how long an example takes nor on how fast it is drawn.
+settings.register_profile(
+    "fleet",
+    derandomize=not seeded(),
+    deadline=None,
+    max_examples=examples(100),
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("fleet")
+
+#: Seconds between two lines on how far a campaign is with one property.
+_PERIOD = 30.0
 
 
 @pytest.fixture(autouse=True)
@@ -11,3 +35,99 @@ def _fresh_logging() -> Iterator[None]:
     """A command run in this process sends its log to a stream that is gone with its test."""
     yield
     structlog.reset_defaults()
+
+
+# Before the plugins whose options are set here.
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """A campaign has its seed, and no limit of time for a test."""
+    if seeded():
+        config.option.hypothesis_seed = str(seed())
+    if campaign():
+        config.option.timeout = 0
+
+
+def pytest_report_header() -> str | None:
+    """How to repeat a campaign."""
+    return f"random examples: {asked()}" if campaign() else None
+
+
+# Before tests are selected by their marks.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Properties that Hypothesis tries are marked as such; a campaign tells how far it is with each."""
+    for item in items:
+        test = getattr(item, "obj", None)
+        if is_hypothesis_test(test):
+            item.add_marker("property")
+            if campaign():
+                _progress.follow(config, test)
+
+
+class _Progress:
+    """Tells from time to time how many examples the test that runs has tried."""
+
+    def __init__(self) -> None:
+        self.count, self.told = 0, 0.0
+
+    def restart(self) -> None:
+        self.count, self.told = 0, time.monotonic()
+
+    def follow(self, config: pytest.Config, test: Any) -> None:
+        inner = test.hypothesis.inner_test
+        # Parameters of one test share it.
+        if getattr(inner, "followed", False):
+            return
+
+        @functools.wraps(inner)
+        def counted(*args: Any, **kwargs: Any) -> Any:
+            self.count += 1
+            if time.monotonic() > self.told + _PERIOD:
+                self.told = time.monotonic()
+                tell(config, f"  {self.count} examples so far")
+            return inner(*args, **kwargs)
+
+        counted.followed = True  # type: ignore[attr-defined]
+        test.hypothesis.inner_test = counted
+
+
+_progress = _Progress()
+
+
+def pytest_runtest_setup() -> None:
+    """Examples are counted for each test."""
+    _progress.restart()
+
+
+def tell(config: pytest.Config, line: str) -> None:
+    """Write a line to the terminal, whatever is captured."""
+    reporter, capture = (config.pluginmanager.getplugin(name) for name in ("terminalreporter", "capturemanager"))
+    if reporter is not None:
+        with nullcontext() if capture is None else capture.global_and_fixture_disabled():
+            reporter.write_line(line)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What fails in a campaign says how to repeat it."""
+    report = yield
+    if campaign() and report.failed:
+        report.sections.append(("repeat", f"{asked()} {sys.executable} -m pytest {shlex.quote(item.nodeid)}"))
+    return report
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile kernels before the first test that needs them: its limit of time is there to end what hangs."""
+    if session.config.option.collectonly or not session.items or "reach_server.sets.compiled" not in sys.modules:
+        return
+    from reach_server import warm_up
+
+    began = time.monotonic()
+    tell(session.config, "making kernels ready: seconds if they are in the cache, else minutes …")
+    try:
+        with redirect_stderr(io.StringIO()):
+            warm_up.main()
+    # The tests say better what is wrong.
+    except Exception as error:
+        tell(session.config, f"that failed: {type(error).__name__}: {error}")
+    tell(session.config, f"kernels took {time.monotonic() - began:.1f} s")

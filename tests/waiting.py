@@ -3,10 +3,14 @@
 import time
 from collections.abc import Callable
 from threading import Event
+from typing import Final
+
+#: Seconds after which what was waited for is taken never to come: far more than a busy machine needs.
+DEADLINE: Final = 60.0
 
 
 def wait_until(
-    predicate: Callable[[], object], timeout: float = 5.0, *, meanwhile: Callable[[], object] = bool
+    predicate: Callable[[], object], timeout: float = DEADLINE, *, meanwhile: Callable[[], object] = bool
 ) -> None:
     """Return once ``predicate()`` is true, calling ``meanwhile`` until then; fail after ``timeout`` s."""
     never = Event()

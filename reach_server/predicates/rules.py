@@ -15,8 +15,10 @@ Bounds = tuple[Array, Array]
 
 
 def add(a: Bounds, b: Bounds) -> Bounds:
-    """``a + b``."""
-    return _down(a[0] + b[0]), _up(a[1] + b[1])
+    """``a + b``; a sum of numbers of one sign has it, so that 0 stays 0."""
+    low, high = _down(a[0] + b[0]), _up(a[1] + b[1])
+    low = np.where((a[0] >= 0) & (b[0] >= 0), np.maximum(low, 0.0), low)
+    return low, np.where((a[1] <= 0) & (b[1] <= 0), np.minimum(high, 0.0), high)
 
 
 def subtract(a: Bounds, b: Bounds) -> Bounds:
@@ -38,31 +40,31 @@ def multiply(a: Bounds, b: Bounds) -> Bounds:
     """``ab``; 0 times an infinite bound is 0, since the factors themselves are finite."""
     corners = [x * y for x in a for y in b]
     low, high = _hull([np.where(np.isnan(corner), 0.0, corner) for corner in corners])
-    return _signed(_down(low), _up(high), _signs(a, b))
+    return signed(_down(low), _up(high), _signs(a, b))
 
 
 def divide(a: Bounds, b: Bounds) -> Bounds:
     """``a / b`` where b does not hold 0. Infinity by infinity is between what the other corners give."""
     corners = [x / y for x in a for y in b]
     low, high = np.fmin.reduce(corners), np.fmax.reduce(corners)
-    return _signed(_down(low), _up(high), _signs(a, b))
+    return signed(_down(low), _up(high), _signs(a, b))
 
 
 def invert(a: Bounds) -> Bounds:
     """``1 / a`` where a does not hold 0."""
-    return _signed(_down(1 / a[1]), _up(1 / a[0]), _sign(a))
+    return signed(_down(1 / a[1]), _up(1 / a[0]), _sign(a))
 
 
 def square(a: Bounds) -> Bounds:
     """``a²``, never negative."""
     least, most = magnitude(a)
-    return np.maximum(_down(least * least), 0.0), _up(most * most)
+    return np.maximum(_down(least * least), 0.0), np.where(most == 0, 0.0, _up(most * most))
 
 
 def root(a: Bounds) -> Bounds:
     """The square root where a is not negative."""
     low, high = np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
-    return np.maximum(_down(low), 0.0), _up(high)
+    return np.maximum(_down(low), 0.0), np.where(high == 0, 0.0, _up(high))
 
 
 def absolute(a: Bounds) -> Bounds:
@@ -174,8 +176,8 @@ def _signs(a: Bounds, b: Bounds) -> Array:
     return np.where((first == 0) | (second == 0), 0.0, first * second)
 
 
-def _signed(low: Array, high: Array, sign: Array) -> Bounds:
-    """Bounds of a result whose sign is known: rounding must not make it straddle 0."""
+def signed(low: Array, high: Array, sign: Array) -> Bounds:
+    """Bounds of a result whose sign is known, NaN where it is not: rounding must not make it straddle 0."""
     return np.where(sign >= 0, np.maximum(low, 0.0), low), np.where(sign <= 0, np.minimum(high, 0.0), high)
 
 

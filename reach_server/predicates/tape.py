@@ -54,9 +54,10 @@ def _meet(_: Bounds, a: Bounds, b: Bounds) -> Mask:
 
 
 def _beyond(least: float, most: float, *, open_ended: bool = False) -> Test:
-    """Test for boxes that are not within ``[least, most]``, or within ``(least, most)``."""
+    """Test for boxes that are not within ``[least, most]``, or within ``(least, most)``; an infinite bound of a box is
+    none of its numbers."""
     if open_ended:
-        return lambda a: np.asarray((a[0] <= least) | (a[1] >= most))
+        return lambda a: np.asarray((a[0] <= least) | ((a[1] >= most) & (most < np.inf)))
     return lambda a: np.asarray((a[0] < least) | (a[1] > most))
 
 
@@ -77,23 +78,23 @@ _OPERATIONS: Final[dict[int, Operation]] = {
     casadi.OP_SQRT: Operation(rules.root, _beyond(0.0, np.inf)),
     casadi.OP_POW: Operation(functions.power, functions.power_undefined),
     casadi.OP_CONSTPOW: Operation(functions.power, functions.power_undefined),
-    casadi.OP_EXP: Operation(functions.rising(np.exp, 0.0)),
-    casadi.OP_EXPM1: Operation(functions.rising(np.expm1, -1.0)),
-    casadi.OP_LOG: Operation(functions.rising(np.log), _beyond(0.0, np.inf, open_ended=True)),
-    casadi.OP_LOG1P: Operation(functions.rising(np.log1p), _beyond(-1.0, np.inf, open_ended=True)),
+    casadi.OP_EXP: Operation(functions.rising(np.exp, 0.0, through=(0.0, 1.0))),
+    casadi.OP_EXPM1: Operation(functions.rising(np.expm1, -1.0, through=(0.0, 0.0))),
+    casadi.OP_LOG: Operation(functions.rising(np.log, through=(1.0, 0.0)), _beyond(0.0, np.inf, open_ended=True)),
+    casadi.OP_LOG1P: Operation(functions.rising(np.log1p, through=(0.0, 0.0)), _beyond(-1.0, np.inf, open_ended=True)),
     casadi.OP_SIN: Operation(functions.sine),
     casadi.OP_COS: Operation(functions.cosine),
     casadi.OP_TAN: Operation(functions.tangent, functions.holds_pole),
-    casadi.OP_ASIN: Operation(functions.rising(np.arcsin), _beyond(-1.0, 1.0)),
+    casadi.OP_ASIN: Operation(functions.rising(np.arcsin, through=(0.0, 0.0)), _beyond(-1.0, 1.0)),
     casadi.OP_ACOS: Operation(functions.arccosine, _beyond(-1.0, 1.0)),
-    casadi.OP_ATAN: Operation(functions.rising(np.arctan)),
+    casadi.OP_ATAN: Operation(functions.rising(np.arctan, through=(0.0, 0.0))),
     casadi.OP_ATAN2: Operation(functions.angle, kinked=lambda _, y, x: functions.crosses_branch(y, x)),
-    casadi.OP_SINH: Operation(functions.rising(np.sinh)),
+    casadi.OP_SINH: Operation(functions.rising(np.sinh, through=(0.0, 0.0))),
     casadi.OP_COSH: Operation(functions.hyperbolic_cosine),
-    casadi.OP_TANH: Operation(functions.rising(np.tanh, -1.0, 1.0)),
-    casadi.OP_ASINH: Operation(functions.rising(np.arcsinh)),
-    casadi.OP_ACOSH: Operation(functions.rising(np.arccosh, 0.0), _beyond(1.0, np.inf)),
-    casadi.OP_ATANH: Operation(functions.rising(np.arctanh), _beyond(-1.0, 1.0, open_ended=True)),
+    casadi.OP_TANH: Operation(functions.rising(np.tanh, -1.0, 1.0, (0.0, 0.0))),
+    casadi.OP_ASINH: Operation(functions.rising(np.arcsinh, through=(0.0, 0.0))),
+    casadi.OP_ACOSH: Operation(functions.rising(np.arccosh, 0.0, through=(1.0, 0.0)), _beyond(1.0, np.inf)),
+    casadi.OP_ATANH: Operation(functions.rising(np.arctanh, through=(0.0, 0.0)), _beyond(-1.0, 1.0, open_ended=True)),
     casadi.OP_ERF: Operation(functions.erf),
     casadi.OP_HYPOT: Operation(functions.hypotenuse),
     casadi.OP_FABS: Operation(rules.absolute, kinked=lambda _, a: np.asarray((a[0] < 0) & (a[1] > 0))),

@@ -12,17 +12,14 @@ EPS = float(np.finfo(np.float64).eps)
 
 
 def add_up(a: ArrayLike, b: ArrayLike) -> Array:
-    """``a + b`` rounded towards plus infinity; the sum itself where it is a floating-point number."""
-    total, error = _two_sum(a, b)
-    with np.errstate(all="ignore"):
-        return np.where((error == 0.0) | (error < 0), total, np.nextafter(total, np.inf))
+    """``a + b`` rounded towards plus infinity; the sum itself where it is a floating-point number, or an operand
+    infinite. Plus infinity for infinities of both signs, of whose sum nothing is known."""
+    return _rounded(a, b, np.inf)
 
 
 def add_down(a: ArrayLike, b: ArrayLike) -> Array:
-    """``a + b`` rounded towards minus infinity; the sum itself where it is a floating-point number."""
-    total, error = _two_sum(a, b)
-    with np.errstate(all="ignore"):
-        return np.where((error == 0.0) | (error > 0), total, np.nextafter(total, -np.inf))
+    """``a + b`` rounded towards minus infinity, as ``add_up`` does towards the other."""
+    return _rounded(a, b, -np.inf)
 
 
 def sum_up(values: Array, axis: int = -1) -> Array:
@@ -31,13 +28,22 @@ def sum_up(values: Array, axis: int = -1) -> Array:
     return np.asarray(values.sum(axis=axis) * (1.0 + rounded * EPS))
 
 
-def _two_sum(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
-    """The rounded sum and what it lost (Knuth); NaN as the loss where an infinity takes part."""
+def _rounded(a: ArrayLike, b: ArrayLike, towards: float) -> Array:
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     with np.errstate(all="ignore"):
-        total = a + b
+        total = np.asarray(a + b)
+        # What the sum has lost (Knuth); not finite where an infinity takes part or an overflow happens.
         back = total - a
-        return np.asarray(total), np.asarray((a - (total - back)) + (b - back))
+        error = (a - (total - back)) + (b - back)
+        beyond = np.nextafter(total, towards)
+        found = np.where(error <= 0 if towards > 0 else error >= 0, total, beyond)
+        unusual = ~np.isfinite(error)
+        if unusual.any():
+            stays = np.isinf(a) | np.isinf(b)
+            met = stays & np.isnan(total) & ~np.isnan(a) & ~np.isnan(b)
+            found = np.where(unusual, np.where(stays, total, beyond), found)
+            found = np.where(met, towards, found)
+    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +95,20 @@ class Interval:
 
     @property
     def midpoint(self) -> Array:
-        """A number (...,) near the middle of bounded intervals; ``midpoint`` ± ``radius`` is an outer bound of the
-        interval. NaN where empty."""
+        """A number (...,) near the middle; the bound that is finite where one is not, 0 where neither is. ``midpoint``
+        ± ``radius`` is an outer bound of the interval. NaN where empty."""
         with np.errstate(all="ignore"):
-            return np.asarray(self.lower / 2 + self.upper / 2)
+            middle = self.lower / 2 + self.upper / 2
+            if np.isfinite(middle).all():
+                return np.asarray(middle)
+            low, high = np.isfinite(self.lower), np.isfinite(self.upper)
+            end = np.where(low, self.lower, np.where(high, self.upper, 0.0))
+            return np.asarray(np.where(self.is_empty(), np.nan, np.where(low & high, middle, end)))
 
     @property
     def radius(self) -> Array:
-        """How far the bounds are from ``midpoint`` (...,): outer, rounded up; NaN where empty."""
+        """How far the bounds are from ``midpoint`` (...,): outer, rounded up; infinite where a bound is, NaN where
+        empty."""
         middle = self.midpoint
         return np.maximum(add_up(self.upper, -middle), add_up(middle, -self.lower))
 
@@ -215,22 +227,23 @@ def _made(lower: Array, upper: Array, *operands: Interval) -> Interval:
 
 
 def _product(x: Array, y: Array) -> tuple[Array, Array]:
-    """``xy`` rounded down and up; 0 times anything, an infinite bound too, is exactly 0."""
-    zero = (x == 0) | (y == 0)
+    """``xy`` rounded down and up, never across 0; 0 times anything, an infinite bound too, is exactly 0."""
     with np.errstate(all="ignore"):
-        product = np.asarray(x * y)
-        low, high = np.nextafter(product, -np.inf), np.nextafter(product, np.inf)
-    return np.where(zero, 0.0, low), np.where(zero, 0.0, high)
+        return _around(np.asarray(x * y), np.sign(x) * np.sign(y))
 
 
 def _quotient(x: Array, y: Array) -> tuple[Array, Array]:
-    """``x / y`` rounded down and up; 0 divided by anything is exactly 0, and infinity by infinity may be anything of
-    its sign: both are limits that a quotient of finite numbers only comes near."""
+    """``x / y`` rounded down and up, never across 0; 0 divided by anything is exactly 0, and infinity by infinity may
+    be anything of its sign: both are limits that a quotient of finite numbers only comes near."""
     with np.errstate(all="ignore"):
-        quotient = np.asarray(x / y)
-        unknown = np.isinf(x) & np.isinf(y)
-        positive = np.sign(x) == np.sign(y)
-        low, high = np.nextafter(quotient, -np.inf), np.nextafter(quotient, np.inf)
-    low = np.where(unknown, np.where(positive, 0.0, -np.inf), np.where(x == 0, 0.0, low))
-    high = np.where(unknown, np.where(positive, np.inf, 0.0), np.where(x == 0, 0.0, high))
-    return low, high
+        low, high = _around(np.asarray(x / y), np.sign(x) * np.sign(y))
+        unknown, positive = np.isinf(x) & np.isinf(y), np.sign(x) == np.sign(y)
+    low = np.where(unknown, np.where(positive, 0.0, -np.inf), low)
+    return low, np.where(unknown, np.where(positive, np.inf, 0.0), high)
+
+
+def _around(value: Array, sign: Array) -> tuple[Array, Array]:
+    """The numbers below and above one that was rounded, and whose sign is known."""
+    low, high = np.nextafter(value, -np.inf), np.nextafter(value, np.inf)
+    low = np.where(sign > 0, np.maximum(low, 0.0), np.where(sign == 0, 0.0, low))
+    return low, np.where(sign < 0, np.minimum(high, 0.0), np.where(sign == 0, 0.0, high))

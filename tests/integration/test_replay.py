@@ -27,7 +27,7 @@ def test_each_recording_gives_tubes(recording: str, profile: str, speed: int, ro
                 "replay", str(RECORDINGS / f"{recording}.npz"), "--profile", profile, "--speed", str(speed),
                 "--as", "car", "--router", endpoint,
             )  # fmt: skip
-            wait_until(lambda: len(tubes) >= 20, 60.0)
+            wait_until(lambda: len(tubes) >= 20)
             replay.end()
     for tube in tubes:
         assert tube.vehicle == "car"

@@ -12,6 +12,7 @@ from fleet_bus.router import Router
 from fleet_bus.sessions import Role, open_session
 from tests.integration.conftest import Start
 from tests.side_info.corpus import DOCUMENT
+from tests.waiting import DEADLINE
 
 pytestmark = pytest.mark.integration
 
@@ -25,7 +26,7 @@ def test_a_changed_file_is_published_by_the_running_process(tmp_path: Path, rout
     statuses: queue.Queue[Received] = queue.Queue()
 
     def next_document() -> ScenarioDocument:
-        received = documents.get(timeout=30.0)
+        received = documents.get(timeout=DEADLINE)
         return ScenarioDocument.decode(received.payload, received.encoding)
 
     with (
@@ -45,9 +46,9 @@ def test_a_changed_file_is_published_by_the_running_process(tmp_path: Path, rout
         process.expect("'Q' is not declared")
         refused: dict[str, int] = {}
         while not refused:
-            refused = ServiceStatus.decode(statuses.get(timeout=30.0).payload).refused
+            refused = ServiceStatus.decode(statuses.get(timeout=DEADLINE).payload).refused
         assert refused == {"document_invalid": 1}
-        (reply,) = [reply.ok for reply in session.get(keys.document("lot"), timeout=10.0)]
+        (reply,) = [reply.ok for reply in session.get(keys.document("lot"), timeout=DEADLINE)]
         assert reply is not None
         assert ScenarioDocument.decode(reply.payload.to_bytes(), str(reply.encoding)).version == 2
     assert process.end() == 0

@@ -12,6 +12,7 @@ from reach_server.leaps import LATE_BATCHES, PACE, RESYNC, SPARE
 from reach_server.regression import runs, wrap
 from reach_server.ring import LEAST_LINKS, SEEN_CHANGE
 from reach_server.windows import Appended, Floats, SampleBatch, Window
+from tests.examples import examples
 
 STEP = 50_000_000
 START = 10**18
@@ -375,7 +376,7 @@ class Twin:
         return what
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100))
 @given(
     st.lists(
         st.sampled_from(["next"] * 8 + ["again", "back", "ahead", "far", "late", "lost", "anew", "high"]), max_size=60

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fleet_bus.messages import StateFlag, StateSample
 from reach_server.windows import Appended, SampleBatch, Window
+from tests.examples import examples
 from tests.reach_server.drives import START, World
 
 PROFILE = World().profile
@@ -43,7 +44,7 @@ def window(vehicles: int = 3) -> Window:
 _KEYS = st.tuples(st.integers(0, 2), st.integers(1, 2), st.integers(0, 30))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150))
 @given(st.lists(st.lists(_KEYS, max_size=25), max_size=8))
 def test_the_newest_distinct_samples_are_held_in_order(batches: list[list[tuple[int, int, int]]]) -> None:
     held: dict[int, list[tuple[int, int]]] = {slot: [] for slot in range(3)}

@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 from shapely import MultiPoint
 
 from reach_server.sets import ConstrainedZonotope, Zonotope
+from tests.examples import examples
 
 Floats = NDArray[np.float64]
 #: ``lower <= normal·x <= upper``
@@ -20,7 +21,7 @@ Strip = tuple[Floats, float, float]
 #: What linear programs and sums of a few terms leave, relative to the size of a set.
 ROUNDING = 1e-6
 
-moderate = settings(max_examples=60, deadline=None)
+moderate = settings(max_examples=examples(60))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from fleet_bus.sessions import Role, open_session
 from side_info import Scenario, ScenarioError
 from side_info.service import SideInfoService
 from tests.side_info.corpus import DOCUMENT
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -72,7 +72,7 @@ def running(service: SideInfoService) -> Iterator[None]:
             yield
         finally:
             stop.set()
-        run.result(5.0)
+        run.result(DEADLINE)
 
 
 @contextmanager
@@ -80,7 +80,7 @@ def listening(session: zenoh.Session, key: str) -> Iterator[Callable[[], Receive
     """Next sample on ``key``, also of publishers that were or come later."""
     arrived: queue.Queue[Received] = queue.Queue()
     with declare_recovering_subscriber(session, key, arrived.put, history=10, late_publishers=True):
-        yield lambda: arrived.get(timeout=5.0)
+        yield lambda: arrived.get(timeout=DEADLINE)
 
 
 def publisher(session: zenoh.Session, vehicle: str) -> CachedPublisher:
@@ -204,8 +204,8 @@ def test_the_service_is_seen_while_it_runs(session: zenoh.Session, viewer: zenoh
     seen: queue.Queue[tuple[str, bool]] = queue.Queue()
     with watch_alive(viewer, "svc/side-info/*", lambda key, alive: seen.put((key, alive))):
         with running(SideInfoService(session, [LOT], {}, "a")):
-            assert seen.get(timeout=5.0) == ("svc/side-info/a", True)
-        assert seen.get(timeout=5.0) == ("svc/side-info/a", False)
+            assert seen.get(timeout=DEADLINE) == ("svc/side-info/a", True)
+        assert seen.get(timeout=DEADLINE) == ("svc/side-info/a", False)
 
 
 def test_a_changed_file_is_published_and_a_bad_one_refused(
@@ -319,11 +319,11 @@ def test_who_comes_late_gets_the_newest_by_subscribing_and_by_a_plain_query(
             ("spec/**", {keys.document("lot"), keys.document("planned"), keys.assignment("planned", "svea1")}),
             ("spec/nowhere/document", set()),
         ):
-            replies = [reply.ok for reply in agent.get(selector, timeout=5.0)]
+            replies = [reply.ok for reply in agent.get(selector, timeout=DEADLINE)]
             answers = {str(ok.key_expr): ok.payload.to_bytes() for ok in replies if ok is not None}
             assert answers == {key: late[key] for key in found}
             assert len(replies) == len(found)
-        (reply,) = [reply.ok for reply in agent.get("spec/lot/document", timeout=5.0)]
+        (reply,) = [reply.ok for reply in agent.get("spec/lot/document", timeout=DEADLINE)]
     assert reply is not None
     assert ScenarioDocument.decode(reply.payload.to_bytes(), str(reply.encoding)).version == 2
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from vehicle_agent.driver import Driver
 from vehicle_agent.path import Path, draw_path
 from vehicle_agent.route import Route
@@ -52,7 +53,7 @@ def test_the_driver_stops_at_the_end_of_the_path() -> None:
     assert abs(car.state[3]) < 0.1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30))
 @given(st.integers(0, 2**32 - 1))
 def test_commands_obey_limits_and_rates_whatever_is_measured(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fleet_bus.errors import MessageError, UsageError
 from fleet_bus.messages import parse_profile
+from tests.examples import examples
 from vehicle_agent.angles import wrap
 from vehicle_agent.filters import Filter, KinematicFilter, PassThrough, filter_for
 from vehicle_agent.route import load_route
@@ -29,7 +30,7 @@ def errors(states: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[n
     return difference
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30))
 @given(
     seed=st.integers(0, 2**32 - 1),
     kappa=st.floats(0.01, 2),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import StateBatch, StateFlag, StateSample, decode_states, ranges
 from fleet_bus.messages.state import ENCODING, MAX_BYTES
+from tests.examples import examples
 from tests.fleet_bus.messages.examples import T0, a_sample, refusal, samples
 
 FIELDS = ("epoch", "seq", "t", "x", "u", "flags", "bound", "plan", "plan_tolerance")
@@ -155,7 +156,7 @@ bad = st.sampled_from(sorted(raw for raw, _ in REFUSED.values())) | st.binary(ma
 odd = samples(2, 1).map(lambda s: b"\x81\xa1d\xc6" + len(r := msgpack.unpackb(s.encode())["d"]).to_bytes(4, "big") + r)
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.lists(samples(2, 1).map(StateSample.encode) | samples().map(StateSample.encode) | bad | odd, max_size=12))
 def test_many_at_once_are_what_they_are_one_by_one(payloads: list[bytes]) -> None:
     expected: dict[int, StateSample] = {}

@@ -18,7 +18,7 @@ from fleet_bus.errors import RecordingError, UsageError
 from fleet_cli.main import app
 from fleet_cli.paper import figures, report, run
 from fleet_cli.paper.cells import NONE, NONE_RING, Block, Cell
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE, wait_until
 
 RECORDINGS = Path(__file__).parents[2] / "data" / "recordings"
 DART, F1TENTH = (str(RECORDINGS / f"fix_{name}.npz") for name in ("dart_free", "f1tenth_koopman"))
@@ -94,9 +94,9 @@ def test_a_signal_ends_it_in_order(tmp_path: Path) -> None:
             return 0
 
     # A part is told of after the report with it is written: with the third block there, the second has been.
-    wait_until(lambda: done() >= 3 or process.poll() is not None, 60)
+    wait_until(lambda: done() >= 3 or process.poll() is not None, 5 * DEADLINE)
     process.send_signal(signal.SIGTERM)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=5 * DEADLINE)
     assert process.returncode == 130, errors
     assert "interrupted: what was finished is in the report" in errors
     assert "2/11 as the published code: " in errors

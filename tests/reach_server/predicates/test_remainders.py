@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from reach_server.predicates.concave import directions
 from reach_server.predicates.remainders import greatest_curvature, greatest_quadratic, middle, upper_dot
+from tests.examples import examples
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100))
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 40))
 def test_no_quadratic_form_is_greater(seed: int, size: int, generators: int) -> None:
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from reach_server.predicates.symbolic import Symbolic, symbolic
 from side_info import ScenarioError
 from side_info.expression import Call, Expression, Last, Name, Negation, Number, Power, Product, Reciprocal, Sum, Time
+from tests.examples import examples
 from tests.reach_server.predicates.expressions import Floats, evaluate, random_expression
 
 INDEX = {"a": 0, "b": 2, "c": 1}
@@ -22,7 +23,7 @@ def value(graph: Symbolic, x: Floats, last: Floats, t: float, k: float, last_t: 
     return float(function(x[list(graph.places)], list(graph.numbers), context))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200))
 @given(st.integers(0, 2**32 - 1))
 def test_a_graph_has_the_value_of_its_expression(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -80,7 +80,8 @@ BINARY: dict[str, tuple[Callable[[casadi.SX, casadi.SX], casadi.SX], Callable[[L
     "mul": (lambda x, y: x * y, np.multiply, -5, 5),
     "div": (lambda x, y: x / y, np.divide, -5, 5),
     "pow": (lambda x, y: x**y, np.power, 0.0, 5),
-    "atan2": (casadi.atan2, np.arctan2, -5, 5),
+    # The real zero has no sign.
+    "atan2": (casadi.atan2, lambda y, x: np.arctan2(y + 0.0, x + 0.0), -5, 5),
     "hypot": (casadi.hypot, np.hypot, -5, 5),
     "fmin": (casadi.fmin, np.minimum, -5, 5),
     "fmax": (casadi.fmax, np.maximum, -5, 5),
@@ -258,6 +259,8 @@ def test_unbounded_boxes_large_numbers_and_subnormals() -> None:
     assert high == INF
     assert one(lambda x: x * 0.5, -INF, INF)[:2] == (-INF, INF)
     assert one(lambda x: 1 / x, 1, INF)[0] == 0
+    assert one(casadi.log, 1, INF) == (0, INF, True)
+    assert one(casadi.log1p, 0, INF) == (0, INF, True)
     assert one(lambda x: x / (1 + x), 0, INF)[:2] == (0, INF)
     tiny = 5e-324
     low, high, _ = one(lambda x: x * x, tiny, tiny)

@@ -150,6 +150,54 @@ def test_unbounded_intervals_stay_sound() -> None:
     assert much.lower <= 1e308
 
 
+def test_midpoint_radius_and_width_of_intervals_without_end_and_of_empty_ones() -> None:
+    low = np.array([0.0, -np.inf, -np.inf, np.inf, -1e308, -np.inf, np.inf])
+    high = np.array([np.inf, 3.0, np.inf, -np.inf, 1e308, -np.inf, np.inf])
+    with np.errstate(all="raise"):
+        a = Interval(low, high)
+        midpoint, radius, width = a.midpoint, a.radius, a.width
+    np.testing.assert_array_equal(midpoint, [0.0, 3.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(radius, [np.inf, np.inf, np.inf, np.nan, 1e308, np.inf, np.inf])
+    np.testing.assert_array_equal(width, [np.inf, np.inf, np.inf, -np.inf, np.inf, np.inf, np.inf])
+    assert Interval.empty().width == -np.inf
+
+
+def test_directed_sums_of_infinities_hold_what_they_may_stand_for() -> None:
+    inf, most = np.inf, float(np.finfo(np.float64).max)
+    for a, b, low, high in [
+        (inf, 1.0, inf, inf), (-inf, -1.0, -inf, -inf), (inf, inf, inf, inf), (inf, -inf, -inf, inf),
+        (-inf, inf, -inf, inf), (most, most, most, inf), (-most, -most, -inf, -most), (most, 1.0, most, inf),
+        (-most, -1.0, -inf, -most),
+    ]:  # fmt: skip
+        assert (float(add_down(a, b)), float(add_up(a, b))) == (low, high), (a, b)
+    # Beside others, each is what it is alone.
+    np.testing.assert_array_equal(add_up([1.0, inf, 0.1], [2.0, -inf, 0.2]), [3.0, inf, add_up(0.1, 0.2)])
+    assert np.isnan(add_up(np.nan, 1.0))
+
+
+@moderate
+@given(a=intervals(), b=intervals())
+def test_products_and_quotients_are_next_to_the_exact_ones_and_keep_their_sign(a: Interval, b: Interval) -> None:
+    results = [(a * b, operator.mul), (a.sqr(), lambda x, y: x * x)]
+    if not b.lower <= 0 <= b.upper:
+        results.append((a / b, operator.truediv))
+    for found, op in results:
+        values = [op(x, y) for x in ends(a)[:2] for y in ends(b)[:2]]
+        if op is results[1][1] and a.lower <= 0 <= a.upper:
+            values.append(Fraction(0))
+        assert_beyond(float(found.lower), min(values), -1)
+        assert_beyond(float(found.upper), max(values), 1)
+
+
+def assert_beyond(found: float, exact: Fraction, side: int) -> None:
+    """``found`` is at most 2 ulps outside of ``exact``, on the same side of 0, and 0 where that is."""
+    assert found == 0 or exact * Fraction(np.sign(found)) > 0
+    if not np.isfinite(found):
+        assert abs(exact) > Fraction(float(np.finfo(np.float64).max)) * (1 - Fraction(1, 2**52))
+    elif abs(exact) < Fraction(float(np.finfo(np.float64).max)):
+        assert 0 <= side * (Fraction(found) - exact) <= 2 * Fraction(float(np.spacing(abs(float(exact)))))
+
+
 def test_empty_intervals_are_values() -> None:
     empty, unit = Interval.empty((2,)), Interval(np.zeros(2), np.ones(2))
     assert empty.is_empty().all()
