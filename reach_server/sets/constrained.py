@@ -342,7 +342,10 @@ class ConstrainedZonotope:
         unit = np.eye(self.dimension)
         bounds = self.support(np.concatenate([unit, -unit]))
         n = self.dimension
-        return -bounds[..., n:], bounds[..., :n]
+        lower, upper = -bounds[..., n:], bounds[..., :n]
+        # Of a set that only rounding made empty the bounds may cross: the hull of both.
+        crossed = (lower > upper) & np.isfinite(lower)
+        return np.where(crossed, upper, lower), np.where(crossed, lower, upper)
 
     def is_empty(self) -> Mask:
         """True (...) where the set is certainly empty (Farkas certificate); False: none was found, which is exact up to
@@ -433,7 +436,7 @@ class ConstrainedZonotope:
         parts = constraint_reduction.common_batch(self._parts)
         g = max(parts[1].shape[-1], n)
         rescaled = constraint_reduction.rescale(parts)
-        eliminated = constraint_reduction.reduce_constraints(parts, 0, 1)
+        eliminated = constraint_reduction.eliminate_all(parts)
         lower, upper = self.interval_hull()
         inhabited = np.isfinite(lower).all(axis=-1, keepdims=True)
         interval = Interval(np.where(inhabited, lower, parts[0]), np.where(inhabited, upper, parts[0]))
@@ -448,8 +451,8 @@ class ConstrainedZonotope:
         generators = np.take_along_axis(padded, best[..., None], axis=-3)[..., 0, :, :]
         # What sums and elimination may have lost; flat sets show it.
         size = np.abs(parts[1]).sum(axis=-1)
-        terms = np.abs(generators).sum(axis=-1) + np.abs(parts[0]) + np.abs(center)
-        rounding = (64 * EPS * terms + 1e-12 * size)[..., None] * np.eye(n)
+        terms = np.abs(generators).sum(axis=-1) + np.abs(parts[0]) + np.abs(center) + size
+        rounding = (((g + 8) * EPS) * terms + eliminated[2])[..., None] * np.eye(n)
         return Zonotope(center, stack_columns(generators, rounding), compose(self.direction, Direction.OUTER))
 
     def contains_point(self, x: ArrayLike) -> Mask:
