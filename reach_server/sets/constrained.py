@@ -311,7 +311,8 @@ class ConstrainedZonotope:
         )
 
     def rescale(self) -> Self:
-        """The same set over factors that each reach both of their bounds: exact [SDB+16, eq. 24]."""
+        """The same set over factors that each reach both of their bounds: exact [SDB+16, eq. 24]. Factors that the
+        constraints tie down to less than 1e-5 stay as they are."""
         return self._made(*constraint_reduction.rescale(self._parts))
 
     def simplify(self) -> Self:
@@ -427,21 +428,21 @@ class ConstrainedZonotope:
     def enclosing_zonotope(self) -> Zonotope:
         """A zonotope around the set: outer, the set itself without constraints.
 
-        The smallest of four (by area, or by the widths): the generators without the constraints, the same rescaled, all
-        constraints eliminated, and the interval hull. n generators more hold what rounding may have lost.
+        The smallest of four (by area, or by the widths): the generators without the constraints, the same over what
+        these leave the factors, all constraints eliminated, and the interval hull. n generators more hold what rounding may have lost.
         """
         n, rows = self.dimension, self.constraint_matrix.shape[-2]
         if not rows:
             return Zonotope(self.center, self.generators, self.direction)
         parts = constraint_reduction.common_batch(self._parts)
         g = max(parts[1].shape[-1], n)
-        rescaled = constraint_reduction.rescale(parts)
+        bounded = constraint_reduction.within_bounds(parts)
         eliminated = constraint_reduction.eliminate_all(parts)
         lower, upper = self.interval_hull()
         inhabited = np.isfinite(lower).all(axis=-1, keepdims=True)
         interval = Interval(np.where(inhabited, lower, parts[0]), np.where(inhabited, upper, parts[0]))
         hull = (interval.midpoint, interval.radius[..., None] * np.eye(n))
-        options = [parts[:2], rescaled[:2], eliminated[:2], hull]
+        options = [parts[:2], bounded, eliminated[:2], hull]
         centers = np.stack([np.broadcast_to(c, parts[0].shape) for c, _ in options], axis=-2)
         padded = np.zeros((*parts[1].shape[:-2], len(options), n, g))
         for k, (_, generators) in enumerate(options):

@@ -16,7 +16,7 @@ from reach_server.sets.precise import remainder
 Parts = tuple[Array, Array, Array, Array]
 Indices = NDArray[np.intp]
 
-#: Factors are never rescaled to less than this: rounding of the offsets would grow into contradictions.
+#: Factors are never rescaled to less than this half-width: rounding of the rows would grow into contradictions.
 NARROWEST = 1e-5
 #: How many times over a factor may leave its bounds when they are given up.
 FAR = 1e3
@@ -80,22 +80,34 @@ def rescale(parts: Parts) -> Parts:
     """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], eq. 24).
 
     With ``β = m + Rβ'`` for the certified bounds ``m ± R``: ``c + Gm``, ``GR``, ``AR``, ``b - Am``. The paper bounds
-    the factors by interval propagation; linear programs give the least bounds. Where they leave next to nothing,
-    ``b - Am`` is small beside its terms, and so is ``AR``: it is summed in twice the precision, else its rounding would
-    contradict the other rows.
+    the factors by interval propagation; linear programs give the least bounds. A factor that has less than
+    ``NARROWEST`` left is not rescaled: one that is tied down has no bounds to reach, and each time its rows would lose
+    digits. ``b - Am`` is summed in twice the precision: it is small beside its terms where ``AR`` is small, and its
+    rounding would contradict the other rows.
     """
     center, generators, matrix, offset = parts
     lower, upper = factor_bounds(matrix, offset)
-    wider = np.where(upper - lower < 2 * NARROWEST, NARROWEST, 0.0)
-    lower, upper = np.maximum(lower - wider, -1.0), np.minimum(upper + wider, 1.0)
-    middle = (lower + upper) / 2
-    half = np.maximum(upper - middle, middle - lower) * (1.0 + 2 * EPS)
+    narrow = upper - lower < 2 * NARROWEST
+    middle, half = around(np.where(narrow, -1.0, lower), np.where(narrow, 1.0, upper))
     return (
         center + (generators @ middle[..., None])[..., 0],
         generators * half[..., None, :],
         matrix * half[..., None, :],
         remainder(offset, matrix, middle),
     )
+
+
+def within_bounds(parts: Parts) -> tuple[Array, Array]:
+    """Center and generators of a zonotope around a set: each factor over what the constraints leave it, outer."""
+    center, generators, matrix, offset = parts
+    middle, half = around(*factor_bounds(matrix, offset))
+    return center + (generators @ middle[..., None])[..., 0], generators * half[..., None, :]
+
+
+def around(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Middle and half-width, rounded up, of intervals."""
+    middle = (lower + upper) / 2
+    return middle, np.maximum(upper - middle, middle - lower) * (1.0 + 2 * EPS)
 
 
 def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
