@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self, Union
 
 import numpy as np
@@ -415,8 +415,9 @@ class ConstrainedZonotope:
         if self.dimension == 2:
             return self.area_bracket()
         if self.dimension == 1:
-            lower, upper = self.interval_hull()
-            width = np.maximum(upper - lower, 0.0)[..., 0]
+            # About the origin: far from it, rounding of the ends would show.
+            ends = replace(self, center=np.zeros(1)).support([[1.0], [-1.0]])
+            width = np.broadcast_to(np.maximum(ends.sum(axis=-1) * (1 + EPS), 0.0), self.batch)
             return np.maximum(width - 1e-9 * np.abs(self.generators).sum(axis=(-2, -1)), 0.0), width
         parts = constraint_reduction.common_batch(self._parts)
         batch = self.batch
@@ -429,7 +430,8 @@ class ConstrainedZonotope:
         """A zonotope around the set: outer, the set itself without constraints.
 
         The smallest of four (by area, or by the widths): the generators without the constraints, the same over what
-        these leave the factors, all constraints eliminated, and the interval hull. n generators more hold what rounding may have lost.
+        these leave the factors, all constraints eliminated, and the interval hull. n generators more hold what rounding
+        may have lost.
         """
         n, rows = self.dimension, self.constraint_matrix.shape[-2]
         if not rows:

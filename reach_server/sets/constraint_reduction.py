@@ -31,8 +31,7 @@ COMPARED = 16
 
 
 class State(NamedTuple):
-    """The parts of sets on the way, and what rounding may have taken from their rows (..., c) and coordinates (..., n).
-    """
+    """The parts of sets on the way, and what rounding may have taken from their rows (..., c) and coordinates (..., n)."""
 
     center: Array
     generators: Array

@@ -32,7 +32,7 @@ def remainder(offset: Array, matrix: Array, factors: Array) -> Array:
     _, exponent = np.frexp(np.maximum(np.abs(matrix).max(axis=-1, initial=0.0), np.abs(offset)))
     # Powers of two: neither products of huge rows nor the errors of tiny ones leave the range.
     scaled = np.ldexp(matrix, -exponent[..., None])
-    high = np.ldexp(offset, -exponent) + np.zeros(np.broadcast_shapes(matrix.shape[:-1], factors.shape[:-1] + (1,)))
+    high = np.ldexp(offset, -exponent) + np.zeros(np.broadcast_shapes(matrix.shape[:-1], (*factors.shape[:-1], 1)))
     low, size = np.zeros(high.shape), np.abs(high)
     for j in range(g):
         term, lost = two_product(scaled[..., j], -factors[..., j, None])

@@ -342,8 +342,10 @@ class Zonotope:
         if self.dimension <= 2 and not isinstance(other, Zonotope):
             normals = containment.face_normals(self.generators)
             normals = np.concatenate([normals, -normals], axis=-2)
-            slack = containment.SLACK * np.abs(normals @ self.generators).sum(axis=-1)
-            return np.asarray((other.support(normals) <= self.support(normals) + slack).all(axis=-1))
+            size = np.abs(zonotope.center) + np.abs(zonotope.generators).sum(axis=-1)
+            return containment.polytope_contains(
+                self.center, self.generators, normals, other.support(normals), size, zonotope.generators.shape[-1]
+            )
         return containment.zonotope_contains(self.center, self.generators, zonotope.center, zonotope.generators)
 
     def intersects(self, other: "Zonotope") -> Mask:

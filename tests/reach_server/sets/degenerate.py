@@ -11,13 +11,16 @@ import numpy as np
 from reach_server.sets import ConstrainedZonotope, Zonotope
 from reach_server.sets.arrays import Array
 
+AnySet = Zonotope | ConstrainedZonotope
+KINDS: tuple[type[AnySet], ...] = (Zonotope, ConstrainedZonotope)
 EXAMPLES = int(os.environ.get("FLEET_TEST_EXAMPLES", "0"))
 SEED = int(os.environ.get("FLEET_TEST_SEED", "0"))
 
 
-def generators(count: int, *salt: int) -> Iterator[np.random.Generator]:
-    """Random numbers for each example of a property: the same ones in every run, unless another seed is asked for."""
-    for example in range(EXAMPLES or count):
+def generators(count: int, *salt: int, share: int = 1) -> Iterator[np.random.Generator]:
+    """Random numbers for each example of a property: the same ones in every run, unless another seed is asked for. Of
+    those that take long, one in ``share``."""
+    for example in range(max((EXAMPLES or count) // share, 1)):
         yield np.random.default_rng([SEED, example, *salt])
 
 
@@ -101,3 +104,46 @@ def member(one: Zonotope | ConstrainedZonotope, rng: np.random.Generator) -> Arr
     g = one.generators.shape[-1]
     factors = np.sign(rng.normal(size=g)) if rng.random() < 0.5 else rng.uniform(-1, 1, g)
     return np.asarray(one.center + one.generators @ factors)
+
+
+def draw(kind: type[AnySet], rng: np.random.Generator, n: int | None = None, most: int = 3) -> AnySet:
+    n = n or int(rng.integers(1, 4))
+    return zonotope(rng, n, most) if kind is Zonotope else constrained(rng, n, most)
+
+
+def small(kind: type[AnySet], rng: np.random.Generator, n: int) -> AnySet:
+    """A set of at most two factors."""
+    plain = zonotope(rng, n, 2)
+    if kind is Zonotope:
+        return plain
+    count = plain.generators.shape[-1]
+    A, b = rows(rng, count) if rng.random() < 0.7 else (np.zeros((0, count)), np.zeros(0))
+    return ConstrainedZonotope(plain.center, plain.generators, A, b)
+
+
+def partner(kind: type[AnySet], rng: np.random.Generator, one: AnySet, n: int | None = None) -> AnySet:
+    """Another set: any, the set itself, or one of its points."""
+    n = n or one.dimension
+    if n != one.dimension or rng.random() < 0.5:
+        return draw(kind, rng, n, 2)
+    if rng.random() < 0.3:
+        return one
+    other = draw(kind, rng, n, 2)
+    return other.translate(member(one, rng) - member(other, rng))
+
+
+def matrix_for(rng: np.random.Generator, one: AnySet) -> Array:
+    k = int(rng.integers(1, 4))
+    M = numbers(rng, k, one.dimension)
+    return np.zeros_like(M) if rng.random() < 0.1 else M
+
+
+def normal_and_heights(rng: np.random.Generator, one: AnySet) -> tuple[Array, float, float]:
+    """A normal, a height of the set along it or beside it, and its reach."""
+    H = numbers(rng, one.dimension) * 10.0 ** rng.choice([0, 0, -6, 6])
+    if rng.random() < 0.1:
+        H = np.zeros(one.dimension)
+    reach = float(np.abs(H @ one.generators).sum())
+    middle = float(H @ one.center)
+    share = rng.choice([-1.0, 1.0, 0.0, -1.5, 2.0, rng.uniform(-1, 1)])
+    return H, middle + share * reach, reach

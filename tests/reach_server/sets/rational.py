@@ -225,7 +225,30 @@ def common(s: Body, t: Body, matrix: Exact) -> Body:
     )  # fmt: skip
 
 
-def area_between(s: Body, rounds: int = 200) -> Fraction:
+def hull(s: Body, t: Body) -> Body:
+    """The least convex set around both: ``λ = (1 + ξ)/2`` of the one, ``1 - λ`` of the other ([RK22], theorem 5).
+
+    Factors (γ1, γ2, ξ, σ, τ): ``|γ1| <= λ`` and ``|γ2| <= 1 - λ``, as ``λ - γ = 1 + σ`` and ``λ + γ = 1 + τ``.
+    """
+    g, h = s.G.shape[1], t.G.shape[1]
+    k, unit, half = g + h, exact(np.eye(g + h)), Fraction(1, 2)
+    A, _, row_size = _joined(s, t)
+    share = exact([half] * g + [-half] * h).reshape(k, 1)
+    weighted = np.concatenate([-half * s.b, half * t.b])[:, None]
+    return Body(
+        half * (s.c + t.c),
+        rows_of([s.G, t.G, half * (s.c - t.c)[:, None], zeros(s.n, 2 * k)]),
+        rows_of(
+            [A, weighted, zeros(len(A), 2 * k)],
+            [unit, -share, unit, zeros(k, k)],
+            [-unit, -share, zeros(k, k), unit],
+        ),
+        np.concatenate([half * s.b, half * t.b, exact([-half] * (2 * k))]),
+        s.size + t.size, np.concatenate([row_size, exact([2] * (2 * k))]),
+    )  # fmt: skip
+
+
+def area(s: Body, rounds: int = 200) -> Fraction:
     """Area of a planar set: exact, by its vertices, found beyond the chords of those known."""
     axes = exact([[1, 0], [0, 1], [-1, 0], [0, -1]])
     found = [s.best(d) for d in axes]
@@ -248,3 +271,8 @@ def area_between(s: Body, rounds: int = 200) -> Fraction:
                 here = there
     ends = zip(outline, outline[1:] + outline[:1], strict=True)
     return total(p[0] * q[1] - p[1] * q[0] for p, q in ends) / 2
+
+
+def ways(rng: np.random.Generator, n: int, count: int = 3) -> list[Exact]:
+    """Directions along the axes, and random ones."""
+    return [exact(d) for d in (*np.eye(n), *-np.eye(n), *rng.integers(-3, 4, (count, n)))]

@@ -8,15 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reach_server.sets import ConstrainedZonotope, Direction, Zonotope
-from reach_server.sets.arrays import Array
+from reach_server.sets import Direction
 from tests.reach_server.sets import rational
-from tests.reach_server.sets.degenerate import constrained, generators, member, numbers, zonotope
-from tests.reach_server.sets.rational import Body, Exact, body, body_of, exact
+from tests.reach_server.sets.degenerate import (
+    KINDS,
+    AnySet,
+    draw,
+    generators,
+    matrix_for,
+    member,
+    normal_and_heights,
+    numbers,
+    partner,
+    small,
+)
+from tests.reach_server.sets.rational import Body, body, body_of, exact, ways
 
-AnySet = Zonotope | ConstrainedZonotope
 EXACT, OUTER = Direction.EXACT, Direction.OUTER
-KINDS: tuple[type[AnySet], ...] = (Zonotope, ConstrainedZonotope)
 #: What the arrays of a result may have lost, relative to the terms of their sums: some hundred ulps.
 ROUNDING = Fraction(1, 2**44)
 #: What counts as touching may be apart by this, relative to the same.
@@ -29,43 +37,6 @@ class Case:
 
     result: AnySet
     truth: Body
-
-
-def draw(kind: type[AnySet], rng: np.random.Generator, n: int | None = None, most: int = 3) -> AnySet:
-    n = n or int(rng.integers(1, 4))
-    return zonotope(rng, n, most) if kind is Zonotope else constrained(rng, n, most)
-
-
-def partner(kind: type[AnySet], rng: np.random.Generator, one: AnySet, n: int | None = None) -> AnySet:
-    """Another set: any, the set itself, or one of its points."""
-    n = n or one.dimension
-    if n != one.dimension or rng.random() < 0.5:
-        return draw(kind, rng, n, 2)
-    if rng.random() < 0.3:
-        return one
-    other = draw(kind, rng, n, 2)
-    return other.translate(member(one, rng) - member(other, rng))
-
-
-def matrix_for(rng: np.random.Generator, one: AnySet) -> Array:
-    k = int(rng.integers(1, 4))
-    M = numbers(rng, k, one.dimension)
-    return np.zeros_like(M) if rng.random() < 0.1 else M
-
-
-def normal_and_heights(rng: np.random.Generator, one: AnySet) -> tuple[Array, float, float]:
-    """A normal, a height of the set along it or beside it, and its reach."""
-    H = numbers(rng, one.dimension) * 10.0 ** rng.choice([0, 0, -6, 6])
-    if rng.random() < 0.1:
-        H = np.zeros(one.dimension)
-    reach = float(np.abs(H @ one.generators).sum())
-    middle = float(H @ one.center)
-    share = rng.choice([-1.0, 1.0, 0.0, -1.5, 2.0, rng.uniform(-1, 1)])
-    return H, middle + share * reach, reach
-
-
-def fractions(*values: float) -> list[Fraction | None]:
-    return [Fraction(value) if np.isfinite(value) else None for value in values]
 
 
 def image(kind: type[AnySet], rng: np.random.Generator) -> Case:
@@ -193,6 +164,15 @@ def rescaled(kind: type[AnySet], rng: np.random.Generator) -> Case:
     return Case(result, body_of(one))
 
 
+def hull(kind: type[AnySet], rng: np.random.Generator) -> Case:
+    # The hull has three factors and two rows for each factor of the two: small ones only.
+    n = int(rng.integers(1, 3))
+    one, other = (small(kind, rng, n) for _ in range(2))
+    if rng.random() < 0.3:
+        other = one if rng.random() < 0.5 else other.translate(member(one, rng) - member(other, rng))
+    return Case(one.convex_hull(other), rational.hull(body_of(one), body_of(other)))
+
+
 def boxed(kind: type[AnySet], rng: np.random.Generator) -> Case:
     n = int(rng.integers(1, 4))
     low = numbers(rng, n) * 10.0 ** rng.choice([0, 9, -9])
@@ -218,6 +198,7 @@ MAKING: dict[str, tuple[Make, Direction | None, Direction]] = {
     "project": (projected, EXACT, EXACT),
     "minkowski_sum": (total_of_two, EXACT, EXACT),
     "cartesian_product": (pair_of_two, EXACT, EXACT),
+    "convex_hull": (hull, OUTER, EXACT),
     "intersect_strip": (strip, OUTER, EXACT),
     "intersect_halfspace": (halfspace, OUTER, EXACT),
     "intersect_tangents": (tangents, OUTER, EXACT),
@@ -232,10 +213,6 @@ MAKING: dict[str, tuple[Make, Direction | None, Direction]] = {
     "rescale": (rescaled, None, EXACT),
 }
 PAIRS = [(kind, name) for name, (_, *steps) in MAKING.items() for kind, step in zip(KINDS, steps, strict=True) if step]
-
-
-def ways(rng: np.random.Generator, n: int, count: int = 3) -> list[Exact]:
-    return [exact(d) for d in (*np.eye(n), *-np.eye(n), *rng.integers(-3, 4, (count, n)))]
 
 
 def assert_outer(truth: Body, result: AnySet, rng: np.random.Generator) -> bool:
@@ -271,7 +248,7 @@ def test_results_are_exact_or_outer(kind: type[AnySet], name: str) -> None:
     make, *steps = MAKING[name]
     step = steps[KINDS.index(kind)]
     wrong, inhabited = [], 0
-    for example, rng in enumerate(generators(60, sum(map(ord, name)))):
+    for example, rng in enumerate(generators(60, sum(map(ord, name)), share=6 if make is hull else 1)):
         try:
             case = make(kind, rng)
             inhabited += assert_outer(case.truth, case.result, rng)
