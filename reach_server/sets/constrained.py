@@ -392,14 +392,19 @@ class ConstrainedZonotope:
         return self.area_bracket()[1]
 
     def area_bracket(self) -> tuple[Array, Array]:
-        """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, and of
-        ``polygon()``."""
+        """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, less what these may
+        lie outside, and of ``polygon()``."""
         self._planar("area_bracket")
         # About the origin: far from it, rounding of the vertices would show.
         found = outline.outline(np.zeros(2), self.generators, self.constraint_matrix, self.constraint_offset)
         inner, outer = (planar.polygon_area(np.nan_to_num(v)) for v in (found.inner, found.outer))
+        # Attained points are members up to what the linear programs are accurate to: a strip along the outline.
+        lost = outline.ROUNDING * np.abs(self.generators).sum(axis=(-2, -1))
+        spans = np.nan_to_num(found.inner - found.inner[..., :1, :])
+        extent = np.abs(spans).max(axis=-2).sum(axis=-1)
+        inner = inner * (1 - 1e-12) - 8 * lost * (extent + lost)
         inner, outer = np.maximum(np.minimum(inner, outer), 0.0), np.maximum(outer, 0.0)
-        return np.broadcast_to(inner * (1 - 1e-12), self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
+        return np.broadcast_to(inner, self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
 
     def volume(self) -> Array:
         """Volume (...): exact in one and two dimensions up to rounding and never below the true one, beyond the outer

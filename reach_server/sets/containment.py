@@ -50,7 +50,7 @@ def zonotope_contains(center: Array, generators: Array, inner_center: Array, inn
     # A point has no width along the axes: these decide.
     if n <= 2 or not g:
         return possible
-    return _by_factors(outer, np.concatenate([shift[..., None], inner], axis=-1), possible)
+    return _by_factors(outer, np.concatenate([shift[..., None], inner], axis=-1), rounding, possible)
 
 
 def polytope_contains(
@@ -70,18 +70,23 @@ def polytope_contains(
     return np.asarray((heights <= limit).all(axis=-1))
 
 
-def _by_factors(outer: Array, targets: Array, possible: Mask) -> Mask:
-    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1."""
+def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -> Mask:
+    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1, up to the rounding (..., n)
+    of the centers."""
     batch = possible.shape
     n, g = outer.shape[-2:]
-    sets = math.prod(batch)
-    outer, targets = outer.reshape(sets, n, g), targets.reshape(sets, *targets.shape[-2:])
-    found = np.zeros(len(outer), dtype=bool)
+    found = np.zeros(math.prod(batch), dtype=bool)
+    outer, targets = outer.reshape(len(found), n, g), targets.reshape(len(found), n, targets.shape[-1])
+    rounding = np.broadcast_to(rounding, (*batch, n)).reshape(len(found), n)
     todo = np.flatnonzero(possible)
     # Coordinates are scaled to the outer set's widths, so that the solvers' accuracy is that of the set.
     size = np.abs(outer).sum(axis=-1, keepdims=True)
     scale = np.where(size > 0, size, 1.0)
     outer, targets = outer / scale, np.where(size > 0, targets / scale, 0.0)
+    blur = np.where(size > 0, rounding[..., None] / scale, 0.0)
+    if (blur[todo] > SLACK).any():
+        # Far away, rounding of the centers is more than that: the set is enlarged by a box of it.
+        outer = np.concatenate([outer, np.where(blur > SLACK, blur, 0.0) * np.eye(n)], axis=-1)
     if len(todo):
         shares = np.linalg.pinv(outer[todo]) @ targets[todo]
         lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1).max(axis=-1, initial=0.0)

@@ -40,7 +40,7 @@ def every(check: Check, kind: type[AnySet], salt: int, count: int = 60, share: i
 def enlarged(s: Body, share: Fraction) -> Body:
     """The set and what lies beside it by ``share`` of its size, up to the rounding of its center."""
     reach = total(abs(s.G).ravel())
-    return Body(s.c, s.G, s.A, s.b, abs(s.c) * (ROUNDING / share) + reach, s.row_size).widened(share)
+    return Body(s.c, s.G, s.A, s.b, total(abs(s.c)) * (ROUNDING / share) + reach + zeros(s.n), s.row_size).widened(share)
 
 
 def _supports(kind: type[AnySet], rng: np.random.Generator) -> bool:
