@@ -477,7 +477,8 @@ class ConstrainedZonotope:
         return membership.reach(*self._parts, point)
 
     def contains_set(self, other: ConvexSet) -> Mask:
-        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
+        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size, the rounding of the centers and
+        1e-12 of the generators of ``other``; False: not shown.
 
         In the plane the outlines decide, up to that margin both ways, and in one dimension the intervals; beyond, a
         sufficient linear program for each pair (an affine map between the factors, [ST19]). An empty ``other`` lies in
@@ -487,16 +488,18 @@ class ConstrainedZonotope:
         batch = batch_shape(*self._own_axes(), *inner._own_axes())
         empty = inner.is_empty()
         if self.dimension == 1:
-            reach = np.abs(self.generators).sum(axis=-1)
+            reach, theirs_reach = (np.abs(one.generators).sum(axis=-1) for one in (self, inner))
             slack = constrained_questions.SLACK * reach + 4 * EPS * (np.abs(self.center) + np.abs(inner.center))
+            slack = slack + outline.ROUNDING * theirs_reach
             low, high = self.interval_hull()
             inner_low, inner_high = inner.interval_hull()
             inside = ((low <= inner_low + slack) & (inner_high <= high + slack)).all(axis=-1) & ~self.is_empty()
             return np.broadcast_to(inside | empty, batch)
         if self.dimension == 2:
             mine, theirs = self._outline(), inner._outline()
-            size = np.abs(self.generators).sum(axis=(-2, -1))
-            size = size + 8 * EPS / constrained_questions.SLACK * np.abs(self.center).sum(axis=-1)
+            size, theirs_size = (np.abs(one.generators).sum(axis=(-2, -1)) for one in (self, inner))
+            far = (np.abs(self.center) + np.abs(inner.center)).sum(axis=-1)
+            size = size + (8 * EPS * far + outline.ROUNDING * theirs_size) / constrained_questions.SLACK
             inside = constrained_questions.polygon_contains(mine.normals, mine.heights, size, theirs.outer)
             return np.broadcast_to((inside & mine.exact & ~mine.empty) | empty, batch)
         mine_parts = constraint_reduction.common_batch(self._parts, batch)

@@ -83,19 +83,20 @@ def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -
     size = np.abs(outer).sum(axis=-1, keepdims=True)
     scale = np.where(size > 0, size, 1.0)
     outer, targets = outer / scale, np.where(size > 0, targets / scale, 0.0)
+    # Far away, rounding of the centers is more than the solvers' accuracy.
     blur = np.where(size > 0, rounding[..., None] / scale, 0.0)
-    if (blur[todo] > SLACK).any():
-        # Far away, rounding of the centers is more than that: the set is enlarged by a box of it.
-        outer = np.concatenate([outer, np.where(blur > SLACK, blur, 0.0) * np.eye(n)], axis=-1)
     if len(todo):
         shares = np.linalg.pinv(outer[todo]) @ targets[todo]
         # Shares of short generators are only known to few digits, and matter as little.
         shares = shares / np.maximum(np.abs(shares).sum(axis=-1, keepdims=True), 1.0)
-        lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1).max(axis=-1, initial=0.0)
-        found[todo] = lost <= SLACK
+        lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1, keepdims=True)
+        found[todo] = (lost <= SLACK + blur[todo]).all(axis=(-2, -1))
     for index in todo:
         if not found[index]:
-            found[index] = _least_row_sum(outer[index], targets[index]) <= 1 + PROGRAM_SLACK
+            box = (blur[index] * np.eye(n))[:, blur[index, :, 0] > SLACK]
+            found[index] = _least_row_sum(np.concatenate([outer[index], box], axis=1), targets[index]) <= (
+                1 + PROGRAM_SLACK
+            )
     return found.reshape(batch)
 
 
