@@ -477,8 +477,8 @@ class ConstrainedZonotope:
         return membership.reach(*self._parts, point)
 
     def contains_set(self, other: ConvexSet) -> Mask:
-        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size, the rounding of the centers and
-        1e-12 of the generators of ``other``; False: not shown.
+        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size, the rounding of the centers
+        and 1e-12 of the generators of ``other``; False: not shown.
 
         In the plane the outlines decide, up to that margin both ways, and in one dimension the intervals; beyond, a
         sufficient linear program for each pair (an affine map between the factors, [ST19]). An empty ``other`` lies in

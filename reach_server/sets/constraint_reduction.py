@@ -31,7 +31,7 @@ COMPARED = 16
 
 
 class State(NamedTuple):
-    """The parts of sets on the way, and what rounding may have taken from their rows (..., c) and coordinates (..., n)."""
+    """Parts of sets, and what rounding may have taken from their rows (..., c) and coordinates (..., n)."""
 
     center: Array
     generators: Array
@@ -184,7 +184,7 @@ def _without_one(state: State, count: int, candidates: int) -> State:
 
 def _pivot_rows(matrix: Array, offset: Array) -> Indices:
     """For each column (..., g) the row in which it is largest, rows of size 1."""
-    return np.abs(support.unit_rows(matrix, offset)[0]).argmax(axis=-2)
+    return np.asarray(np.abs(support.unit_rows(matrix, offset)[0]).argmax(axis=-2), dtype=np.intp)
 
 
 def _harmless(state: State) -> Mask:

@@ -71,8 +71,8 @@ def polytope_contains(
 
 
 def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -> Mask:
-    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1, up to the rounding (..., n)
-    of the centers."""
+    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1, up to the ``rounding``
+    (..., n) of the centers."""
     batch = possible.shape
     n, g = outer.shape[-2:]
     found = np.zeros(math.prod(batch), dtype=bool)

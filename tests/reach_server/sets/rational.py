@@ -154,7 +154,7 @@ def body_of(one: Zonotope | ConstrainedZonotope, place: tuple[int, ...] = ()) ->
     """One set of a batch."""
 
     def entry(array: Array, own: int) -> Array:
-        return np.broadcast_to(array, one.batch + array.shape[array.ndim - own :])[place]
+        return np.asarray(np.broadcast_to(array, one.batch + array.shape[array.ndim - own :])[place])
 
     c, G = entry(one.center, 1), entry(one.generators, 2)
     if isinstance(one, Zonotope):
@@ -208,7 +208,7 @@ def cut(s: Body, normals: Exact, lower: Sequence[Fraction | None], upper: Sequen
             s.c,
             rows_of([s.G, zeros(s.n, 1)]),
             rows_of([s.A, zeros(len(s.b), 1)], [heights[None], exact([[-half]])]),
-            np.append(s.b, mid - middle), s.size, np.append(s.row_size, size + given),
+            np.concatenate([s.b, [mid - middle]]), s.size, np.concatenate([s.row_size, [size + given]]),
         )  # fmt: skip
     return s
 
