@@ -167,7 +167,8 @@ def rescaled(kind: type[AnySet], rng: np.random.Generator) -> Case:
 def hull(kind: type[AnySet], rng: np.random.Generator) -> Case:
     # The hull has three factors and two rows for each factor of the two: small ones only.
     n = int(rng.integers(1, 3))
-    one, other = (small(kind, rng, n) for _ in range(2))
+    one: Any = small(kind, rng, n)
+    other: Any = small(kind, rng, n)
     if rng.random() < 0.3:
         other = one if rng.random() < 0.5 else other.translate(member(one, rng) - member(other, rng))
     return Case(one.convex_hull(other), rational.hull(body_of(one), body_of(other)))
