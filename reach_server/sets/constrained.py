@@ -15,6 +15,7 @@ from reach_server.sets import (
     membership,
     outline,
     planar,
+    precise,
     reduction,
     strips,
     support,
@@ -47,10 +48,13 @@ class ConstrainedZonotope:
     ``constraint_offset`` (..., c); may be empty.
 
     ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
-    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: the arrays carry the rounding of their own
-    sums and products. Numbers that come back as bounds (``support``, ``interval_hull``, ``polygon``, the outer end of a
-    bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf, -inf], a polygon
-    of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
+    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: center and generators carry the rounding of
+    their own sums and products, some ulps of the terms; each row of the constraints is off by some ulps of its own size
+    (``reduce_constraints``: both by 1e-11 at most). Emptiness is proved by a margin above that, so a set that holds a
+    point is never called empty; what misses a cut by less than 1e-9 of the numbers compared counts as touching it, and
+    the nearest points are kept. Numbers that come back as bounds (``support``, ``interval_hull``, ``polygon``, the
+    outer end of a bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf,
+    -inf], a polygon of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
 
     Every bounded polytope is one [SDB+16]. Numbers are in whatever units the caller uses. Raises ``SetError`` for wrong
     shapes, NaN or infinities, and for dimension 0; so does every verb for its arguments, also where their batch axes do
@@ -231,8 +235,10 @@ class ConstrainedZonotope:
                 f"(..., {second.dimension}, {self.dimension})"
             )
         joined, offset = self._joined_constraints(second)
-        heights = stack_columns(m @ self.generators, -second.generators)
-        right = second.center - (m @ self.center[..., None])[..., 0]
+        # Rows that cancel out must vanish: what rounding leaves of them would tie down factors.
+        own = self.generators if matrix is None else precise.product(m, self.generators)
+        heights = stack_columns(own, -second.generators)
+        right = precise.remainder(second.center, m, self.center)
         batch = np.broadcast_shapes(joined.shape[:-2], offset.shape[:-1], heights.shape[:-2], right.shape[:-1])
         rows = [np.broadcast_to(a, batch + a.shape[-2:]) for a in (joined, heights)]
         offsets = [np.broadcast_to(a, batch + a.shape[-1:]) for a in (offset, right)]

@@ -41,3 +41,10 @@ def remainder(offset: Array, matrix: Array, factors: Array) -> Array:
         size = size + np.abs(term)
     result = high + low
     return np.asarray(np.ldexp(np.where(np.abs(result) <= (g + 1) * EPS**2 * size, 0.0, result), exponent))
+
+
+def product(matrix: Array, columns: Array) -> Array:
+    """``matrix @ columns`` (..., k, g) for (..., k, n) and (..., n, g), as ``remainder``: off by one ulp of each entry,
+    zero where it cancels out."""
+    entries = remainder(np.zeros(matrix.shape[-2]), -matrix[..., None, :, :], np.swapaxes(columns, -1, -2))
+    return np.swapaxes(entries, -1, -2)

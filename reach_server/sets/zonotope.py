@@ -61,7 +61,8 @@ class Zonotope:
 
     ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
     it. *Exact* and *outer* hold for exact arithmetic on the given numbers: center and generators carry the rounding of
-    their own sums and products, at most ``n + 2`` ulps of the sum of the absolute terms for each operation. Bounds that
+    their own sums and products, at most ``n + 2`` ulps of the sum of the absolute terms for each operation. A cut that
+    misses by less than 1e-9 of the numbers compared counts as touching. Bounds that
     come back as numbers (``support``, ``interval_hull``, ``volume_bracket``) and the lengths that a reduction adds up
     are rounded outwards.
 

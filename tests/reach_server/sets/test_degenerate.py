@@ -76,3 +76,19 @@ def test_a_far_away_point_survives_a_strip_without_width_through_it(kind: type[A
         assert cut.contains_point(x), seed
         held = body_of(cut).best(body_of(cut).c * 0)
         assert held is not None, f"{seed}: no factors at all solve the new row"
+
+
+def test_a_preimage_ties_down_no_factor_by_rounding() -> None:
+    lost = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        # Exactly, (a, b, -a - b) times (x, x, x) is 0; products and sums are rounded on the way there.
+        a, b = rng.integers(1, 2**30, 2).astype(float)
+        M, x = np.array([[a, b, -(a + b)]]), rng.normal(size=2)
+        one = ConstrainedZonotope(np.full(3, x[0]), np.full((3, 1), x[1]), np.zeros((0, 1)), np.zeros(0))
+        lost += bool((M @ one.generators).any())
+        kept = one.intersection(ConstrainedZonotope.point([0.0]), M)
+        assert not kept.is_empty()
+        np.testing.assert_allclose(kept.interval_hull(), one.interval_hull(), rtol=1e-12)
+        assert kept.contains_point(one.center + one.generators[:, 0])
+    assert lost
