@@ -180,15 +180,15 @@ def reach(center: Array, generators: Array, matrix: Array, offset: Array, point:
     size = np.abs(equations).sum(axis=-1)
     inside = np.zeros(count, dtype=bool)
     reaching = np.full((count, g), np.nan)
-    # A coordinate in which the set is a point is met up to the rounding of the subtraction above.
-    rounding = np.concatenate(
+    # A coordinate in which the set is a point is met up to the rounding of the subtraction above, or up to underflow.
+    rounding = TINY + np.concatenate(
         [
             np.broadcast_to(ULPS * (np.abs(point) + np.abs(center)), (*batch, n)),
             np.broadcast_to(ULPS * np.abs(offset), (*batch, rows)),
         ],
         axis=-1,
     ).reshape(count, n + rows)
-    possible = (np.abs(target) <= size * (1 + SLACK) + rounding + TINY).all(axis=-1)
+    possible = (np.abs(target) <= size * (1 + SLACK) + rounding).all(axis=-1)
     todo = np.flatnonzero(possible)
     if len(todo) and g:
         # Rows are scaled to size 1 so that the accuracy of the pseudoinverse is that of the set, or of the rounding.
