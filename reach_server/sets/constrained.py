@@ -406,9 +406,8 @@ class ConstrainedZonotope:
         inner, outer = (planar.polygon_area(np.nan_to_num(v)) for v in (found.inner, found.outer))
         # Attained points are members up to what the linear programs are accurate to: a strip along the outline.
         lost = outline.ROUNDING * np.abs(self.generators).sum(axis=(-2, -1))
-        spans = np.nan_to_num(found.inner - found.inner[..., :1, :])
-        extent = np.abs(spans).max(axis=-2).sum(axis=-1)
-        inner = inner * (1 - 1e-12) - 8 * lost * (extent + lost)
+        edges = np.nan_to_num(np.roll(found.inner, -1, axis=-2) - found.inner)
+        inner = inner * (1 - 1e-12) - lost * (np.sqrt((edges**2).sum(axis=-1)).sum(axis=-1) + 4 * lost)
         inner, outer = np.maximum(np.minimum(inner, outer), 0.0), np.maximum(outer, 0.0)
         return np.broadcast_to(inner, self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
 
