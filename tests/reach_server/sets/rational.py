@@ -221,7 +221,8 @@ def common(s: Body, t: Body, matrix: Exact) -> Body:
         s.c,
         rows_of([s.G, zeros(s.n, t.G.shape[1])]),
         rows_of([A], [rows_of([heights, -t.G])]),
-        np.concatenate([b, t.c - matrix @ s.c]), s.size, np.concatenate([row_size, abs(matrix) @ s.size + t.size]),
+        np.concatenate([b, t.c - matrix @ s.c]), s.size + (t.size if t.n == s.n else 0),
+        np.concatenate([row_size, abs(matrix) @ s.size + t.size]),
     )  # fmt: skip
 
 

@@ -92,3 +92,12 @@ def test_a_preimage_ties_down_no_factor_by_rounding() -> None:
         np.testing.assert_allclose(kept.interval_hull(), one.interval_hull(), rtol=1e-12)
         assert kept.contains_point(one.center + one.generators[:, 0])
     assert lost
+
+
+def test_tolerances_of_containment_are_those_of_the_sets() -> None:
+    point, flat = ConstrainedZonotope.point(np.zeros(3)), ConstrainedZonotope.box([-1.0, -1.0, 0.0], [1.0, 1.0, 0.0])
+    for size in (1e-9, 1e-20):
+        needle = Zonotope(np.zeros(3), size * np.array([[-2.0], [2.0], [1.0]]))
+        assert not point.contains_set(needle)
+        assert not flat.contains_set(needle)
+        assert flat.contains_set(needle.linear_map(np.diag([1.0, 1.0, 0.0])))
