@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self, Union
 
 import numpy as np
@@ -15,6 +15,7 @@ from reach_server.sets import (
     membership,
     outline,
     planar,
+    precise,
     reduction,
     strips,
     support,
@@ -47,10 +48,13 @@ class ConstrainedZonotope:
     ``constraint_offset`` (..., c); may be empty.
 
     ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
-    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: the arrays carry the rounding of their own
-    sums and products. Numbers that come back as bounds (``support``, ``interval_hull``, ``polygon``, the outer end of a
-    bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf, -inf], a polygon
-    of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
+    it. *Exact* and *outer* hold for exact arithmetic on the given numbers: center and generators carry the rounding of
+    their own sums and products, some ulps of the terms; each row of the constraints is off by some ulps of its own size
+    (``reduce_constraints``: both by 1e-11 at most). Emptiness is proved by a margin above that, so a set that holds a
+    point is never called empty; what misses a cut by less than 1e-9 of the numbers compared counts as touching it, and
+    the nearest points are kept. Numbers that come back as bounds (``support``, ``interval_hull``, ``polygon``, the
+    outer end of a bracket) include what they may have lost by rounding. An empty set has support -inf, the hull [inf,
+    -inf], a polygon of NaN, volume 0 and samples of NaN, wherever its emptiness was proved.
 
     Every bounded polytope is one [SDB+16]. Numbers are in whatever units the caller uses. Raises ``SetError`` for wrong
     shapes, NaN or infinities, and for dimension 0; so does every verb for its arguments, also where their batch axes do
@@ -231,8 +235,10 @@ class ConstrainedZonotope:
                 f"(..., {second.dimension}, {self.dimension})"
             )
         joined, offset = self._joined_constraints(second)
-        heights = stack_columns(m @ self.generators, -second.generators)
-        right = second.center - (m @ self.center[..., None])[..., 0]
+        # Rows that cancel out must vanish: what rounding leaves of them would tie down factors.
+        own = self.generators if matrix is None else precise.product(m, self.generators)
+        heights = stack_columns(own, -second.generators)
+        right = precise.remainder(second.center, m, self.center)
         batch = np.broadcast_shapes(joined.shape[:-2], offset.shape[:-1], heights.shape[:-2], right.shape[:-1])
         rows = [np.broadcast_to(a, batch + a.shape[-2:]) for a in (joined, heights)]
         offsets = [np.broadcast_to(a, batch + a.shape[-1:]) for a in (offset, right)]
@@ -311,7 +317,8 @@ class ConstrainedZonotope:
         )
 
     def rescale(self) -> Self:
-        """The same set over factors that each reach both of their bounds: exact [SDB+16, eq. 24]."""
+        """The same set over factors that each reach both of their bounds: exact [SDB+16, eq. 24]. Factors that the
+        constraints tie down to less than 1e-5 stay as they are."""
         return self._made(*constraint_reduction.rescale(self._parts))
 
     def simplify(self) -> Self:
@@ -342,7 +349,10 @@ class ConstrainedZonotope:
         unit = np.eye(self.dimension)
         bounds = self.support(np.concatenate([unit, -unit]))
         n = self.dimension
-        return -bounds[..., n:], bounds[..., :n]
+        lower, upper = -bounds[..., n:], bounds[..., :n]
+        # Of a set that only rounding made empty the bounds may cross: the hull of both.
+        crossed = (lower > upper) & np.isfinite(lower)
+        return np.where(crossed, upper, lower), np.where(crossed, lower, upper)
 
     def is_empty(self) -> Mask:
         """True (...) where the set is certainly empty (Farkas certificate); False: none was found, which is exact up to
@@ -388,14 +398,18 @@ class ConstrainedZonotope:
         return self.area_bracket()[1]
 
     def area_bracket(self) -> tuple[Array, Array]:
-        """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, and of
-        ``polygon()``."""
+        """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, less what these may
+        lie outside, and of ``polygon()``."""
         self._planar("area_bracket")
         # About the origin: far from it, rounding of the vertices would show.
         found = outline.outline(np.zeros(2), self.generators, self.constraint_matrix, self.constraint_offset)
         inner, outer = (planar.polygon_area(np.nan_to_num(v)) for v in (found.inner, found.outer))
+        # Attained points are members up to what the linear programs are accurate to: a strip along the outline.
+        lost = outline.ROUNDING * np.abs(self.generators).sum(axis=(-2, -1))
+        edges = np.nan_to_num(np.roll(found.inner, -1, axis=-2) - found.inner)
+        inner = inner * (1 - 1e-12) - lost * (np.sqrt((edges**2).sum(axis=-1)).sum(axis=-1) + 4 * lost)
         inner, outer = np.maximum(np.minimum(inner, outer), 0.0), np.maximum(outer, 0.0)
-        return np.broadcast_to(inner * (1 - 1e-12), self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
+        return np.broadcast_to(inner, self.batch), np.broadcast_to(outer * (1 + 4 * EPS), self.batch)
 
     def volume(self) -> Array:
         """Volume (...): exact in one and two dimensions up to rounding and never below the true one, beyond the outer
@@ -411,8 +425,9 @@ class ConstrainedZonotope:
         if self.dimension == 2:
             return self.area_bracket()
         if self.dimension == 1:
-            lower, upper = self.interval_hull()
-            width = np.maximum(upper - lower, 0.0)[..., 0]
+            # About the origin: far from it, rounding of the ends would show.
+            ends = replace(self, center=np.zeros(1)).support([[1.0], [-1.0]])
+            width = np.broadcast_to(np.maximum(ends.sum(axis=-1) * (1 + EPS), 0.0), self.batch)
             return np.maximum(width - 1e-9 * np.abs(self.generators).sum(axis=(-2, -1)), 0.0), width
         parts = constraint_reduction.common_batch(self._parts)
         batch = self.batch
@@ -424,21 +439,22 @@ class ConstrainedZonotope:
     def enclosing_zonotope(self) -> Zonotope:
         """A zonotope around the set: outer, the set itself without constraints.
 
-        The smallest of four (by area, or by the widths): the generators without the constraints, the same rescaled, all
-        constraints eliminated, and the interval hull. n generators more hold what rounding may have lost.
+        The smallest of four (by area, or by the widths): the generators without the constraints, the same over what
+        these leave the factors, all constraints eliminated, and the interval hull. n generators more hold what rounding
+        may have lost.
         """
         n, rows = self.dimension, self.constraint_matrix.shape[-2]
         if not rows:
             return Zonotope(self.center, self.generators, self.direction)
         parts = constraint_reduction.common_batch(self._parts)
         g = max(parts[1].shape[-1], n)
-        rescaled = constraint_reduction.rescale(parts)
-        eliminated = constraint_reduction.reduce_constraints(parts, 0, 1)
+        bounded = constraint_reduction.within_bounds(parts)
+        eliminated = constraint_reduction.eliminate_all(parts)
         lower, upper = self.interval_hull()
         inhabited = np.isfinite(lower).all(axis=-1, keepdims=True)
         interval = Interval(np.where(inhabited, lower, parts[0]), np.where(inhabited, upper, parts[0]))
         hull = (interval.midpoint, interval.radius[..., None] * np.eye(n))
-        options = [parts[:2], rescaled[:2], eliminated[:2], hull]
+        options = [parts[:2], bounded, eliminated[:2], hull]
         centers = np.stack([np.broadcast_to(c, parts[0].shape) for c, _ in options], axis=-2)
         padded = np.zeros((*parts[1].shape[:-2], len(options), n, g))
         for k, (_, generators) in enumerate(options):
@@ -448,8 +464,8 @@ class ConstrainedZonotope:
         generators = np.take_along_axis(padded, best[..., None], axis=-3)[..., 0, :, :]
         # What sums and elimination may have lost; flat sets show it.
         size = np.abs(parts[1]).sum(axis=-1)
-        terms = np.abs(generators).sum(axis=-1) + np.abs(parts[0]) + np.abs(center)
-        rounding = (64 * EPS * terms + 1e-12 * size)[..., None] * np.eye(n)
+        terms = np.abs(generators).sum(axis=-1) + np.abs(parts[0]) + np.abs(center) + size
+        rounding = (((g + 8) * EPS) * terms + eliminated[2])[..., None] * np.eye(n)
         return Zonotope(center, stack_columns(generators, rounding), compose(self.direction, Direction.OUTER))
 
     def contains_point(self, x: ArrayLike) -> Mask:
@@ -466,7 +482,8 @@ class ConstrainedZonotope:
         return membership.reach(*self._parts, point)
 
     def contains_set(self, other: ConvexSet) -> Mask:
-        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
+        """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size, the rounding of the centers
+        and 1e-12 of the generators of ``other``; False: not shown.
 
         In the plane the outlines decide, up to that margin both ways, and in one dimension the intervals; beyond, a
         sufficient linear program for each pair (an affine map between the factors, [ST19]). An empty ``other`` lies in
@@ -476,16 +493,18 @@ class ConstrainedZonotope:
         batch = batch_shape(*self._own_axes(), *inner._own_axes())
         empty = inner.is_empty()
         if self.dimension == 1:
-            reach = np.abs(self.generators).sum(axis=-1)
+            reach, theirs_reach = (np.abs(one.generators).sum(axis=-1) for one in (self, inner))
             slack = constrained_questions.SLACK * reach + 4 * EPS * (np.abs(self.center) + np.abs(inner.center))
+            slack = slack + outline.ROUNDING * theirs_reach
             low, high = self.interval_hull()
             inner_low, inner_high = inner.interval_hull()
             inside = ((low <= inner_low + slack) & (inner_high <= high + slack)).all(axis=-1) & ~self.is_empty()
             return np.broadcast_to(inside | empty, batch)
         if self.dimension == 2:
             mine, theirs = self._outline(), inner._outline()
-            size = np.abs(self.generators).sum(axis=(-2, -1))
-            size = size + 8 * EPS / constrained_questions.SLACK * np.abs(self.center).sum(axis=-1)
+            size, theirs_size = (np.abs(one.generators).sum(axis=(-2, -1)) for one in (self, inner))
+            far = (np.abs(self.center) + np.abs(inner.center)).sum(axis=-1)
+            size = size + (8 * EPS * far + outline.ROUNDING * theirs_size) / constrained_questions.SLACK
             inside = constrained_questions.polygon_contains(mine.normals, mine.heights, size, theirs.outer)
             return np.broadcast_to((inside & mine.exact & ~mine.empty) | empty, batch)
         mine_parts = constraint_reduction.common_batch(self._parts, batch)

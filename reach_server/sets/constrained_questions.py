@@ -7,9 +7,10 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from reach_server.sets import support
+from reach_server.sets import membership, support
 from reach_server.sets.arrays import Array, Mask
 from reach_server.sets.constraint_reduction import Parts
+from reach_server.sets.intervals import EPS
 
 #: The bracket of a volume is refined until it is this narrow, or after this many rounds.
 NARROW, ROUNDS = 1e-3, 4
@@ -78,20 +79,28 @@ def contains(outer: Parts, inner: Parts) -> bool:
     """
     center, generators, matrix, offset = outer
     inner_center, inner_generators, inner_matrix, inner_offset = inner
+    if not inner_generators.any():
+        # A point, if it is anything.
+        return bool(membership.reach(*outer, inner_center)[0])
+    size = np.abs(generators).sum(axis=1)
+    rounding = 4 * EPS * (np.abs(center) + np.abs(inner_center))
+    # Far away, the centers are rounded by more than the solver's accuracy: the set is enlarged by a box of that.
+    blur = (np.where(rounding > SLACK * size, rounding, 0.0) * np.eye(len(center)))[:, rounding > SLACK * size]
+    generators = np.concatenate([generators, blur], axis=1)
+    matrix = np.concatenate([matrix, np.zeros((len(matrix), blur.shape[1]))], axis=1)
     g, k = generators.shape[1], inner_generators.shape[1]
     stacked = np.concatenate([generators, matrix])
     columns = np.concatenate([inner_generators, np.zeros((len(matrix), k))])
     shift = np.concatenate([inner_center - center, offset])
     size = np.abs(stacked).sum(axis=1)
-    rounding = np.concatenate([8e-16 * (np.abs(center) + np.abs(inner_center)), np.zeros(len(offset))])
-    size = np.maximum(size, rounding / SLACK)
+    # Where the outer set has no size, what the other one has there is all that counts.
+    size = np.where(size > 0, size, np.abs(columns).sum(axis=1) + np.abs(shift))
     size = np.where(size > 0, size, 1.0)
     stacked, columns, shift = stacked / size[:, None], columns / size[:, None], shift / size
     inner_matrix, inner_offset = support.unit_rows(inner_matrix, inner_offset)
     rows, inner_rows = len(stacked), len(inner_matrix)
     if not g:
-        flat = not np.abs(columns).sum(axis=1).max(initial=0.0) > SLACK
-        return bool(flat and np.abs(shift).max(initial=0.0) <= SLACK)
+        return False
     # Unknowns: Γ and γ as differences of nonnegative ones (column by column), multiples of the inner rows, the row sum.
     table = np.column_stack([inner_matrix, -inner_offset[:, None]])
     maps = kron(csr_array(stacked), eye_array(k + 1))

@@ -3,25 +3,42 @@
 The parts of a set are ``(center, generators, constraint_matrix, constraint_offset)`` with batch axes as in the class.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.sets import parallel, planar, support
 from reach_server.sets.arrays import Array, Mask
+from reach_server.sets.intervals import EPS
+from reach_server.sets.precise import remainder
 
 Parts = tuple[Array, Array, Array, Array]
 Indices = NDArray[np.intp]
 
-#: Factors are never rescaled to less than this: rounding of the offsets would grow into contradictions.
+#: Factors are never rescaled to less than this half-width: rounding of the rows would grow into contradictions.
 NARROWEST = 1e-5
 #: How many times over a factor may leave its bounds when they are given up.
 FAR = 1e3
 #: Columns whose greatest entry is below this, of rows of size 1, are not eliminated by.
 PIVOT = 1e-6
-#: Rows of which elimination leaves no more than this are given up.
-SPENT = 1e-8
+#: What rounding may take from a row or a coordinate, relative to its size. A hundredth of what emptiness is proved by.
+RELIABLE = 1e-11
+#: Ulps of its terms that an entry loses in one elimination.
+ROUNDED = 4
 #: Directions in which the areas of candidates are compared.
 COMPARED = 16
+
+
+class State(NamedTuple):
+    """Parts of sets, and what rounding may have taken from their rows (..., c) and coordinates (..., n)."""
+
+    center: Array
+    generators: Array
+    matrix: Array
+    offset: Array
+    row_lost: Array
+    lost: Array
 
 
 def common_batch(parts: Parts, batch: tuple[int, ...] = ()) -> Parts:
@@ -51,7 +68,10 @@ def factor_bounds(matrix: Array, offset: Array) -> tuple[Array, Array]:
     unit = np.eye(g)
     found = support.solve(np.zeros(g), unit, matrix, offset, np.concatenate([unit, -unit]))
     bound = np.where(found.empty, 1.0, np.minimum(found.bound, 1.0))
-    lower, upper = -bound[..., g:], bound[..., :g]
+    lower, upper = np.maximum(-bound[..., g:], -1.0), np.maximum(bound[..., :g], -1.0)
+    # Bounds that cross by more than rounding are those of a set that is empty, if not provably so.
+    nothing = lower - upper > NARROWEST
+    lower, upper = np.where(nothing, -1.0, lower), np.where(nothing, 1.0, upper)
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
@@ -59,19 +79,34 @@ def rescale(parts: Parts) -> Parts:
     """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], eq. 24).
 
     With ``β = m + Rβ'`` for the certified bounds ``m ± R``: ``c + Gm``, ``GR``, ``AR``, ``b - Am``. The paper bounds
-    the factors by interval propagation; linear programs give the least bounds.
+    the factors by interval propagation; linear programs give the least bounds. A factor that has less than
+    ``NARROWEST`` left is not rescaled: one that is tied down has no bounds to reach, and each time its rows would lose
+    digits. ``b - Am`` is summed in twice the precision: it is small beside its terms where ``AR`` is small, and its
+    rounding would contradict the other rows.
     """
     center, generators, matrix, offset = parts
     lower, upper = factor_bounds(matrix, offset)
-    wider = np.where(upper - lower < 2 * NARROWEST, NARROWEST, 0.0)
-    lower, upper = np.maximum(lower - wider, -1.0), np.minimum(upper + wider, 1.0)
-    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    narrow = upper - lower < 2 * NARROWEST
+    middle, half = around(np.where(narrow, -1.0, lower), np.where(narrow, 1.0, upper))
     return (
         center + (generators @ middle[..., None])[..., 0],
         generators * half[..., None, :],
         matrix * half[..., None, :],
-        offset - (matrix @ middle[..., None])[..., 0],
+        remainder(offset, matrix, middle),
     )
+
+
+def within_bounds(parts: Parts) -> tuple[Array, Array]:
+    """Center and generators of a zonotope around a set: each factor over what the constraints leave it, outer."""
+    center, generators, matrix, offset = parts
+    middle, half = around(*factor_bounds(matrix, offset))
+    return center + (generators @ middle[..., None])[..., 0], generators * half[..., None, :]
+
+
+def around(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Middle and half-width, rounded up, of intervals."""
+    middle = (lower + upper) / 2
+    return middle, np.maximum(upper - middle, middle - lower) * (1.0 + 2 * EPS)
 
 
 def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
@@ -81,22 +116,45 @@ def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
     it then leaves them, and the Hausdorff distance that the paper estimates from that, rank the factors; the ranking by
     the least bounds (linear programs) and that by interval propagation each propose their first ``candidates``, and the
     smallest result is taken: by its area, bounded in 16 directions, in the plane, else by the widths of its hull.
+
+    What rounding takes from each row and coordinate is bounded on the way. A row that it has taken 1e-11 of is dropped,
+    and no factor is solved for whose row would take as much from the set: such a row is dropped instead.
     """
     parts = common_batch(parts)
-    rows = parts[2].shape[-2]
-    if count >= rows:
+    if count >= parts[2].shape[-2]:
         return parts
+    return _compact(_eliminated(parts, count, candidates)[0], count)
+
+
+def eliminate_all(parts: Parts) -> tuple[Array, Array, Array]:
+    """Center, generators and what rounding may have taken from each coordinate (..., n) of a zonotope around a set with
+    all batch axes: the constraints eliminated one by one, outer."""
+    (center, generators, _, _), lost = _eliminated(parts, 0, 1)
+    return center, parallel.drop_zero(generators), lost
+
+
+def _eliminated(parts: Parts, count: int, candidates: int) -> tuple[Parts, Array]:
+    """The parts after elimination, with more than ``count`` rows where too few factors could be solved for, and what
+    the coordinates may have lost (..., n)."""
+    rows = parts[2].shape[-2]
     parts = rescale(parts)
+    state = State(*parts, 4 * EPS * row_sizes(parts[2], parts[3]), 4 * EPS * row_sizes(parts[1], parts[0]))
     for _ in range(rows - count if parts[2].shape[-1] else 0):
-        parts = _without_one(parts, count, candidates)
-    return _compact(parts, count)
+        state = _without_one(state, count, candidates)
+    return state[:4], state.lost
 
 
-def _without_one(parts: Parts, count: int, candidates: int) -> Parts:
-    _, generators, matrix, offset = parts
+def row_sizes(matrix: Array, offset: Array) -> Array:
+    """``Σ|A_ij| + |b_i|`` (..., c): what the rounding of a row is relative to."""
+    return np.asarray(np.abs(matrix).sum(axis=-1) + np.abs(offset))
+
+
+def _without_one(state: State, count: int, candidates: int) -> State:
+    _, generators, matrix, offset, row_lost, _ = state
     matrix, offset = support.unit_rows(matrix, offset)
     filled = matrix.any(axis=-1) | (offset != 0)
     usable = (np.abs(matrix).max(axis=-2) > PIVOT) & (filled.sum(axis=-1) > count)[..., None]
+    usable &= _harmless(state)
     stiffness = _stiffness(generators, matrix)
     proposed = []
     for reach in (_least_excess(matrix, offset), _propagated_excess(matrix, offset)):
@@ -104,31 +162,49 @@ def _without_one(parts: Parts, count: int, candidates: int) -> Parts:
         proposed.append(np.argsort(distance, axis=-1, kind="stable")[..., :candidates])
     j = np.concatenate(proposed, axis=-1)
     allowed = np.take_along_axis(usable, j, axis=-1)
-    center, generators, matrix, offset = parts
+    center, generators, matrix, offset, row_lost, lost = state
     choices = _eliminate(
-        (center[..., None, :], generators[..., None, :, :], matrix[..., None, :, :], offset[..., None, :]), j
-    )
-    size = np.where(allowed, _size(choices), np.inf)
+        State(
+            center[..., None, :], generators[..., None, :, :], matrix[..., None, :, :], offset[..., None, :],
+            row_lost[..., None, :], lost[..., None, :],
+        ), j,
+    )  # fmt: skip
+    size = np.where(allowed, _size(choices[:4]), np.inf)
     best = size.argmin(axis=-1)
     acts = np.take_along_axis(allowed, best[..., None], axis=-1)[..., 0]
     chosen = []
-    for old, new in zip(parts, choices, strict=True):
+    for old, new in zip(state, choices, strict=True):
         own = old.ndim - acts.ndim
         index = best.reshape(*best.shape, *(1,) * (own + 1))
         picked = np.take_along_axis(new, index, axis=acts.ndim)
         picked = picked.reshape(old.shape)
         chosen.append(np.where(acts.reshape(*acts.shape, *(1,) * own), picked, old))
-    return chosen[0], chosen[1], chosen[2], chosen[3]
+    return State(*chosen)
 
 
-def _eliminate(parts: Parts, j: Indices) -> Parts:
+def _pivot_rows(matrix: Array, offset: Array) -> Indices:
+    """For each column (..., g) the row in which it is largest, rows of size 1."""
+    return np.asarray(np.abs(support.unit_rows(matrix, offset)[0]).argmax(axis=-2), dtype=np.intp)
+
+
+def _harmless(state: State) -> Mask:
+    """True (..., g) where solving for the factor takes no more than ``RELIABLE`` from any coordinate by rounding."""
+    center, generators, matrix, offset, row_lost, lost = state
+    i = _pivot_rows(matrix, offset)
+    pivot = np.abs(np.take_along_axis(matrix, i[..., None, :], axis=-2)[..., 0, :])
+    taken = row_lost + ROUNDED * EPS * row_sizes(matrix, offset)
+    share = np.take_along_axis(taken, i, axis=-1) / np.where(pivot > 0, pivot, 1.0)
+    allowed = RELIABLE * row_sizes(generators, center)
+    return np.asarray((np.abs(generators) * share[..., None, :] + lost[..., None] <= allowed[..., None]).all(axis=-2))
+
+
+def _eliminate(state: State, j: Indices) -> State:
     """Row i, where column j (..., K) is largest, solved for factor j and put into the rest; row and column are then
     0."""
-    center, generators, matrix, offset = parts
-    scaled, _ = support.unit_rows(matrix, offset)
+    center, generators, matrix, offset, row_lost, lost = state
     batch = j.shape
     column = _columns(matrix, j)
-    i = np.abs(_columns(scaled, j)).argmax(axis=-1)[..., None]
+    i = np.take_along_axis(np.broadcast_to(_pivot_rows(matrix, offset), (*batch, matrix.shape[-1])), j[..., None], -1)
     pivot = np.take_along_axis(column, i, axis=-1)
     safe = np.where(pivot == 0, 1.0, pivot)
     wide_matrix = np.broadcast_to(matrix, batch + matrix.shape[-2:])
@@ -136,19 +212,25 @@ def _eliminate(parts: Parts, j: Indices) -> Parts:
     row = np.take_along_axis(wide_matrix, i[..., None], axis=-2) / safe[..., None]
     right = np.take_along_axis(wide_offset, i, axis=-1) / safe
     generator = _columns(generators, j)
+    size = row_sizes(row[..., 0, :], right[..., 0])[..., None]
+    taken = np.take_along_axis(np.broadcast_to(row_lost, wide_offset.shape), i, axis=-1) / np.abs(safe)
+    taken = taken + ROUNDED * EPS * size
+    lost = lost + np.abs(generator) * taken + ROUNDED * EPS * row_sizes(generators, center)
+    row_lost = row_lost + np.abs(column) * taken + ROUNDED * EPS * row_sizes(matrix, offset)
     center = center + generator * right
     generators = generators - generator[..., None] * row
-    new_matrix = matrix - column[..., None] * row
+    columns, rows = np.arange(matrix.shape[-1]) == j[..., None], np.arange(matrix.shape[-2]) == i
+    new_matrix = np.where(columns[..., None, :], 0.0, matrix - column[..., None] * row)
     new_offset = offset - column * right
-    # A row of which next to nothing is left said the same as row i; so it goes, too, before rounding speaks for it.
-    before = np.abs(wide_matrix) + np.abs(column[..., None] * row)
-    spent = np.abs(new_matrix).max(axis=-1, initial=0.0) <= SPENT * before.max(axis=-1, initial=0.0)
-    columns, rows = np.arange(matrix.shape[-1]) == j[..., None], (np.arange(matrix.shape[-2]) == i) | spent
-    return (
+    # A row that says what row i said: it goes, too, before rounding speaks for it.
+    rows = rows | (row_lost > RELIABLE * row_sizes(new_matrix, new_offset))
+    return State(
         center,
         np.where(columns[..., None, :], 0.0, generators),
-        np.where(columns[..., None, :] | rows[..., None], 0.0, new_matrix),
+        np.where(rows[..., None], 0.0, new_matrix),
         np.where(rows, 0.0, new_offset),
+        np.where(rows, 0.0, row_lost),
+        lost,
     )
 
 

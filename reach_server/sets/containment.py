@@ -1,5 +1,7 @@
 """Zonotope in zonotope, and are two zonotopes disjoint? Answers for a whole batch first, then linear programs."""
 
+import math
+
 import numpy as np
 from scipy.optimize import linprog
 
@@ -45,38 +47,62 @@ def zonotope_contains(center: Array, generators: Array, inner_center: Array, inn
     slack = SLACK * reach + (np.abs(probes) @ rounding[..., None])[..., 0]
     slack = slack + (n + g) * EPS * (np.abs(probes) @ np.abs(generators).sum(axis=-1)[..., None])[..., 0]
     possible = np.broadcast_to((needed <= reach + slack).all(axis=-1), batch)
-    if n <= 2:
+    # A point has no width along the axes: these decide.
+    if n <= 2 or not g:
         return possible
-    return _by_factors(outer, np.concatenate([shift[..., None], inner], axis=-1), possible)
+    return _by_factors(outer, np.concatenate([shift[..., None], inner], axis=-1), rounding, possible)
 
 
-def _by_factors(outer: Array, targets: Array, possible: Mask) -> Mask:
-    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1."""
+def polytope_contains(
+    center: Array, generators: Array, normals: Array, heights: Array, size: Array, terms: int
+) -> Mask:
+    """True (...) where ``heights`` (..., K) of another set over ``normals`` (..., K, n), which decide, do not exceed
+    those of the zonotope, up to 1e-9 of its reach and the rounding of ``terms`` terms of ``size`` (..., n), the other
+    set's coordinates.
+
+    Across a flat set the reach is 0, and the heights are all rounding.
+    """
+    n, g = generators.shape[-2:]
+    reach = np.abs(normals @ generators).sum(axis=-1)
+    size = size + np.abs(center) + np.abs(generators).sum(axis=-1)
+    rounding = 4 * (n + g + terms + 8) * EPS * (np.abs(normals) @ size[..., None])[..., 0]
+    limit = (normals @ center[..., None])[..., 0] + reach * (1 + SLACK) + rounding
+    return np.asarray((heights <= limit).all(axis=-1))
+
+
+def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -> Mask:
+    """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1, up to the ``rounding``
+    (..., n) of the centers."""
     batch = possible.shape
     n, g = outer.shape[-2:]
-    outer, targets = outer.reshape(-1, n, g), targets.reshape(-1, *targets.shape[-2:])
-    found = np.zeros(len(outer), dtype=bool)
+    found = np.zeros(math.prod(batch), dtype=bool)
+    outer, targets = outer.reshape(len(found), n, g), targets.reshape(len(found), n, targets.shape[-1])
+    rounding = np.broadcast_to(rounding, (*batch, n)).reshape(len(found), n)
     todo = np.flatnonzero(possible)
     # Coordinates are scaled to the outer set's widths, so that the solvers' accuracy is that of the set.
     size = np.abs(outer).sum(axis=-1, keepdims=True)
     scale = np.where(size > 0, size, 1.0)
     outer, targets = outer / scale, np.where(size > 0, targets / scale, 0.0)
+    # Far away, rounding of the centers is more than the solvers' accuracy.
+    blur = np.where(size > 0, rounding[..., None] / scale, 0.0)
     if len(todo):
         shares = np.linalg.pinv(outer[todo]) @ targets[todo]
-        lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1).max(axis=-1, initial=0.0)
-        rows = np.abs(shares).sum(axis=-1).max(axis=-1, initial=0.0)
-        found[todo] = (lost <= SLACK) & (rows <= 1 + SLACK)
+        # Shares of short generators are only known to few digits, and matter as little.
+        shares = shares / np.maximum(np.abs(shares).sum(axis=-1, keepdims=True), 1.0)
+        lost = np.abs(outer[todo] @ shares - targets[todo]).sum(axis=-1, keepdims=True)
+        found[todo] = (lost <= SLACK + blur[todo]).all(axis=(-2, -1))
     for index in todo:
         if not found[index]:
-            found[index] = _least_row_sum(outer[index], targets[index]) <= 1 + PROGRAM_SLACK
+            box = (blur[index] * np.eye(n))[:, blur[index, :, 0] > SLACK]
+            found[index] = _least_row_sum(np.concatenate([outer[index], box], axis=1), targets[index]) <= (
+                1 + PROGRAM_SLACK
+            )
     return found.reshape(batch)
 
 
 def _least_row_sum(outer: Array, targets: Array) -> float:
     """The least greatest row sum of ``|Γ|`` over ``outer @ Γ = targets``; inf where there is no Γ."""
     g, m = outer.shape[1], targets.shape[1]
-    if not g:
-        return 0.0 if not targets.any() else np.inf
     equations = np.kron(outer, np.eye(m))
     sums = np.kron(np.eye(g), np.ones((1, m)))
     solution = linprog(
@@ -108,12 +134,14 @@ def certainly_disjoint(center: Array, generators: Array, other_center: Array, ot
     if n > 2:
         probes = np.concatenate([probes, shift[..., None, :]], axis=-2)
     apart = np.asarray(_separates(probes, shift, joined, rounding).any(axis=-1))
-    if n <= 2:
+    # Two points are apart along an axis.
+    if n <= 2 or not joined.shape[-1]:
         return apart
-    flat = (shift.reshape(-1, n), joined.reshape(-1, n, joined.shape[-1]), rounding.reshape(-1, n))
+    sets = math.prod(batch)
+    flat = (shift.reshape(sets, n), joined.reshape(sets, n, joined.shape[-1]), rounding.reshape(sets, n))
     result = apart.ravel()
     todo = np.flatnonzero(~result)
-    if len(todo) and joined.shape[-1]:
+    if len(todo):
         factors = (np.linalg.pinv(flat[1][todo]) @ flat[0][todo][..., None])[..., 0]
         size = np.abs(flat[1][todo]).sum(axis=-1)
         lost = np.abs((flat[1][todo] @ factors[..., None])[..., 0] - flat[0][todo])
@@ -143,8 +171,8 @@ def _separating(shift: Array, generators: Array) -> Array:
     columns = (generators / width[:, None]).T
     solution = linprog(
         np.concatenate([-shift / width, np.ones(g)]),
-        A_ub=np.block([[columns, -np.eye(g)], [-columns, -np.eye(g)]]) if g else None,
-        b_ub=np.zeros(2 * g) if g else None,
+        A_ub=np.block([[columns, -np.eye(g)], [-columns, -np.eye(g)]]),
+        b_ub=np.zeros(2 * g),
         bounds=[(-1, 1)] * n + [(0, None)] * g,
         method="highs",
     )

@@ -7,6 +7,7 @@ from reach_server.sets.arrays import Array
 from reach_server.sets.containment import face_normals
 from reach_server.sets.intervals import EPS
 from reach_server.sets.parallel import drop_zero
+from reach_server.sets.precise import product, remainder
 
 #: Faces of a planar set that are cut with: those of its longest generators.
 FACES = 6
@@ -53,13 +54,14 @@ def intersect_zonotope(
         center.shape[:-1], other_center.shape[:-1], *(c.shape[:-2] for c in inside), other_generators.shape[:-2]
     )
     options = np.stack([np.broadcast_to(c, (*batch, n, k)) for c in inside], axis=-3)
-    kept = generators[..., None, :, :] - options @ (matrix @ generators)[..., None, :, :]
+    kept = generators[..., None, :, :] - options @ product(matrix, generators)[..., None, :, :]
     added = options @ other_generators[..., None, :, :]
     candidates = np.concatenate([kept, added], axis=-1)
     best = np.argmin(strips.log_size(candidates, None), axis=-1)[..., None, None, None]
     chosen = np.take_along_axis(options, best, axis=-3)[..., 0, :, :]
     result = np.take_along_axis(candidates, best, axis=-3)[..., 0, :, :]
-    shift = other_center - (matrix @ center[..., None])[..., 0]
+    # Far away the difference is small beside its terms, and a λ may carry its rounding into any coordinate.
+    shift = remainder(other_center, matrix, center)
     middle = center + (chosen @ shift[..., None])[..., 0]
     for normal, height, reach in [
         *_strips(other_center, other_generators, matrix),

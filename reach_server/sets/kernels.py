@@ -119,7 +119,8 @@ def tightened(
 
     ``reach`` is ``|normal·G|₁``, the radius of a strip around the set. ``cuts`` is False where the strip holds on the
     whole set; ``empty`` is certain: the two are disjoint by more than the rounding of the comparison. Normals speak
-    about the first coordinates. The heights ``normal·G`` stay in ``work``.
+    about the first coordinates. The heights ``normal·G`` stay in ``work``. The radius includes what all sums over the
+    set, here and of whoever cuts with it, may lose by rounding: a set of one point keeps it.
     """
     for i in range(used):
         work[_HEIGHTS, i] = 0.0
@@ -141,12 +142,13 @@ def tightened(
         high = upper
     # What the sums may have lost does not shrink with them: of 1e12 - 1e12 nothing is left but the rounding.
     margin = EMPTY_MARGIN * (abs(middle) + reach + (abs(low) if abs(low) < np.inf else 0.0))
-    margin += (len(center) + used) * EPS * size
+    lost = (2 * len(center) + used + 8) * EPS * size
+    margin += lost
     empty = low > high + margin
     if low > high:
         # Within the margin the two may cross by rounding: the hull of both only enlarges.
         low, high = high, low
-    return (low + high) / 2, (high - low) / 2, reach, (from_below or from_above) and not empty, empty
+    return (low + high) / 2, (high - low) / 2 + lost, reach, (from_below or from_above) and not empty, empty
 
 
 @inner

@@ -180,15 +180,15 @@ def reach(center: Array, generators: Array, matrix: Array, offset: Array, point:
     size = np.abs(equations).sum(axis=-1)
     inside = np.zeros(count, dtype=bool)
     reaching = np.full((count, g), np.nan)
-    # A coordinate in which the set is a point is met up to the rounding of the subtraction above.
-    rounding = np.concatenate(
+    # A coordinate in which the set is a point is met up to the rounding of the subtraction above, or up to underflow.
+    rounding = TINY + np.concatenate(
         [
             np.broadcast_to(ULPS * (np.abs(point) + np.abs(center)), (*batch, n)),
             np.broadcast_to(ULPS * np.abs(offset), (*batch, rows)),
         ],
         axis=-1,
     ).reshape(count, n + rows)
-    possible = (np.abs(target) <= size * (1 + SLACK) + rounding + TINY).all(axis=-1)
+    possible = (np.abs(target) <= size * (1 + SLACK) + rounding).all(axis=-1)
     todo = np.flatnonzero(possible)
     if len(todo) and g:
         # Rows are scaled to size 1 so that the accuracy of the pseudoinverse is that of the set, or of the rounding.
@@ -196,29 +196,35 @@ def reach(center: Array, generators: Array, matrix: Array, offset: Array, point:
         scale = np.where(scale > 0, scale, 1.0)
         scaled, wanted = equations[todo] / scale[..., None], target[todo] / scale
         factors = (np.linalg.pinv(scaled) @ wanted[..., None])[..., 0]
-        reached = np.abs((scaled @ factors[..., None])[..., 0] - wanted).max(axis=-1) <= SLACK
-        inside[todo] = reached & (np.abs(factors).max(axis=-1) <= 1 + SLACK)
+        factors = np.clip(factors, -1.0, 1.0)
+        inside[todo] = np.abs((scaled @ factors[..., None])[..., 0] - wanted).max(axis=-1) <= SLACK
         reaching[todo] = np.where(inside[todo, None], factors, np.nan)
-        for index, rows_of, right in zip(todo, scaled, wanted, strict=True):
+        for index in todo:
             if not inside[index]:
-                inside[index], reaching[index] = _solve(rows_of, right)
+                inside[index], reaching[index] = _solve(equations[index], target[index], size[index], rounding[index])
     elif len(todo):
         inside[todo] = True
     return inside.reshape(batch), np.clip(reaching, -1.0, 1.0).reshape(*batch, g)
 
 
-def _solve(equations: Array, right: Array) -> tuple[bool, Array]:
+def _solve(equations: Array, right: Array, size: Array, rounding: Array) -> tuple[bool, Array]:
+    """Whether some ``|β| <= 1`` solves the equations, of rows of these sizes, up to their rounding, and β."""
     g = equations.shape[1]
+    scale = np.maximum(size, rounding)
+    scale = np.where(scale > 0, scale, 1.0)
+    # What rounding may have done to a row is a variable of its own where the solver would see it.
+    blurred = np.flatnonzero(rounding > SLACK * scale)
+    blur = np.zeros((len(equations), len(blurred)))
+    blur[blurred, np.arange(len(blurred))] = (rounding / scale)[blurred]
     # The least bound t with |β| <= t is asked for: always feasible where the equations are, no tolerance games.
-    costs = np.append(np.zeros(g), 1.0)
     bounds = np.concatenate([np.eye(g), -np.eye(g)])
     result = linprog(
-        costs,
-        A_ub=np.column_stack([bounds, -np.ones(2 * g)]),
+        np.append(np.zeros(g + len(blurred)), 1.0),
+        A_ub=np.column_stack([bounds, np.zeros((2 * g, len(blurred))), -np.ones(2 * g)]),
         b_ub=np.zeros(2 * g),
-        A_eq=np.column_stack([equations, np.zeros(len(equations))]),
-        b_eq=right,
-        bounds=[(None, None)] * g + [(0, None)],
+        A_eq=np.column_stack([equations / scale[:, None], blur, np.zeros(len(equations))]),
+        b_eq=right / scale,
+        bounds=[(None, None)] * g + [(-1, 1)] * len(blurred) + [(0, None)],
         method="highs",
     )
     if result.status != 0 or result.x is None or result.x[-1] > 1 + 1e-7:

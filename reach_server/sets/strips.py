@@ -84,7 +84,8 @@ def strip_bounds(
     """The strip tightened to the set: (center (...), radius (...), cuts (...) bool, empty (...) bool).
 
     ``cuts`` is False where the strip holds on the whole set; ``empty`` is certain: the strip and the set are
-    disjoint by more than the rounding of the comparison.
+    disjoint by more than the rounding of the comparison. The radius includes the rounding of ``normal @ center`` and
+    ``normal @ generators``, computed in any order.
     """
     batch = np.broadcast_shapes(
         center.shape[:-1], generators.shape[:-2], normal.shape[:-1], np.shape(lower), np.shape(upper)

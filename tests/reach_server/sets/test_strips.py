@@ -71,9 +71,15 @@ def test_bounds_are_tightened_to_the_set() -> None:
         q, r, cuts, empty = strip_bounds(center, generators, normal, np.array(lower), np.array(upper))
         return float(q), float(r), bool(cuts), bool(empty)
 
-    assert bounds_of(-np.inf, np.inf) == (0.0, 1.0, False, False)
-    assert bounds_of(-5.0, 5.0) == (0.0, 1.0, False, False)
-    assert bounds_of(0.0, 5.0) == (0.5, 0.5, True, False)
+    for ends, middle, radius, acts in [
+        ((-np.inf, np.inf), 0.0, 1.0, False),
+        ((-5.0, 5.0), 0.0, 1.0, False),
+        ((0.0, 5.0), 0.5, 0.5, True),
+    ]:
+        q, r, cuts, empty = bounds_of(*ends)
+        assert (q, cuts, empty) == (middle, acts, False)
+        # The radius holds the rounding of sums over the set.
+        assert radius < r < radius * (1 + 1e-14)
     assert bounds_of(2.0, 5.0)[2:] == (False, True)
     assert bounds_of(1.0, 5.0)[3] is False
     # Rounding of the border is no proof of emptiness.
