@@ -43,10 +43,19 @@ def bands(alpha: float) -> tuple[Ints, Ints]:
     1000 checks and 0.3 times in 10 000 later ones, and are outside 3 % of the time. Misses that cluster, and margins
     that are estimates themselves, raise that.
     """
-    checks = range(RECENT + 1)
-    leaves = [binomial_band(n, alpha, BAND if n >= FEW else CLEAR_BAND) for n in checks]
-    returns = [binomial_band(n, alpha, 0.5) for n in checks]
-    return np.array(leaves, dtype=np.int64), np.array(returns, dtype=np.int64)
+    leaves = np.concatenate([_bands(range(FEW), alpha, CLEAR_BAND), _bands(range(FEW, RECENT + 1), alpha, BAND)])
+    return leaves, _bands(range(RECENT + 1), alpha, 0.5)
+
+
+def _bands(checked: range, alpha: float, probability: float) -> Ints:
+    """``binomial_band`` of each number of checks. It never falls, so each one is looked for from the one before on: a
+    class with a confidence of its own must not hold up a round."""
+    found, misses = np.zeros(len(checked), dtype=np.int64), 0
+    for place, number in enumerate(checked):
+        while misses < number and bdtr(misses, number, alpha) < probability:
+            misses += 1
+        found[place] = misses
+    return found
 
 
 def inside(

@@ -4,7 +4,7 @@ No network and no clock in here: messages, and the times at which they came, in;
 """
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -66,12 +66,13 @@ class Outcome:
 class Fleet:
     """Vehicles, their classes, the scenarios and who takes part in them.
 
-    ``source`` names the session that sent a message, ``now`` (s) is when it came, by any clock that never goes back;
+    ``stamp`` tells the time of events that no sample tells (ns since the Unix epoch). ``source`` names the session that sent a message, ``now`` (s) is when it came, by any clock that never goes back;
     without it the newest stamp tells the time.
     """
 
-    def __init__(self, rejections: Rejections) -> None:
+    def __init__(self, rejections: Rejections, stamp: Callable[[], int] | None = None) -> None:
         self._rejections = rejections
+        self._tell_time = stamp
         self._vehicles: dict[str, Vehicle] = {}
         self._engines: dict[tuple[object, ...], Engine] = {}
         self._book = ScenarioBook()
@@ -274,7 +275,7 @@ class Fleet:
     @property
     def _stamp(self) -> int:
         """The time of now as a stamp (ns)."""
-        return max(1, int(self._now * 1e9))
+        return max(1, int(self._now * 1e9)) if self._tell_time is None else self._tell_time()
 
     def _time(self, now: float | None) -> float:
         if now is not None:

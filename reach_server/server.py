@@ -36,6 +36,7 @@ from fleet_bus.pubsub import (
 )
 from fleet_bus.rejections import Rejections
 from fleet_bus.sessions import DEFAULT_ROUTER, Role, open_session
+from fleet_bus.writers import Source
 from reach_server import publish
 from reach_server.event_limit import EventLimit
 from reach_server.fleet import Fleet
@@ -73,7 +74,7 @@ class ReachServer:
         self.instance = keys.check_id(instance, "server")
         self.rejections = Rejections()
         self.ingest = Ingest(self.rejections)
-        self.fleet = Fleet(self.rejections)
+        self.fleet = Fleet(self.rejections, time.time_ns)
         self._routers = routers
         self._stop = stop
         self._control: deque[Received | tuple[str, bool]] = deque()
@@ -225,7 +226,7 @@ class ReachServer:
                     self._publish_event(event)
             except MessageError as error:
                 self.rejections.count(error, item.key)
-                self._tell_refused_document(item.key, error)
+                self._tell_refused_document(item, error)
             except KeyIdError as error:
                 self.rejections.count(MessageError("key", str(error)), item.key)
 
@@ -293,15 +294,15 @@ class ReachServer:
         self._asked_profile.discard(vehicle)
         self._seen.pop(vehicle, None)
 
-    def _tell_refused_document(self, key: str, error: MessageError) -> None:
-        if not key.startswith("fleet/"):
-            _log.warning("document refused", key=key, error=str(error))
+    def _tell_refused_document(self, item: Received, error: MessageError) -> None:
+        if not item.key.startswith("fleet/"):
+            _log.warning("document refused", key=item.key, source=item.source, error=str(error))
             return
         try:
-            vehicle = keys.vehicle_of(key)
+            vehicle = keys.vehicle_of(item.key)
         except KeyIdError:
             return
-        message = f"profile of {vehicle} refused: {error}"[:2000]
+        message = f"profile of {vehicle} from {Source(item.source)} refused: {error}"
         self._publish_event(EngineEvent(EventKind.PROFILE_REFUSED, vehicle, time.time_ns(), message))
 
     def _fetch_missing(self, now: float) -> None:

@@ -5,6 +5,8 @@ import pytest
 
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import Assignment, EventKind, Label, parse_profile
+from fleet_bus.rejections import Rejections
+from reach_server.fleet import Fleet
 from reach_server.results import EngineEvent
 from tests.reach_server.drives import SVEA
 from tests.reach_server.fleet_desk import NOW, SMALL, Desk, assignment, document, kinds
@@ -200,3 +202,11 @@ def test_versions_only_go_up(version: int) -> None:
     again.fleet.set_scenario(document(0.5, version=2), "S", 10.0)
     again.fleet.assign(assignment(), "S", 10.0)
     np.testing.assert_array_equal(again.tubes(again.states("a", NOW, NOW + 1, session="A"))["a"].area, before)
+
+
+def test_events_that_no_sample_tells_the_time_of_carry_the_time_of_day() -> None:
+    noon = 1_800_000_000 * 10**9
+    fleet = Fleet(Rejections(), lambda: noon)
+    fleet.set_profile("a", SMALL, "A", 5.0)
+    (told,) = fleet.set_profile("a", SMALL.model_copy(update={"window": 130}), "A", 6.0)
+    assert (told.kind, told.t) == (EventKind.PROFILE_CHANGED, noon)
