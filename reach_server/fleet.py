@@ -66,8 +66,9 @@ class Outcome:
 class Fleet:
     """Vehicles, their classes, the scenarios and who takes part in them.
 
-    ``stamp`` tells the time of events that no sample tells (ns since the Unix epoch). ``source`` names the session that sent a message, ``now`` (s) is when it came, by any clock that never goes back;
-    without it the newest stamp tells the time.
+    ``stamp`` tells the time of events that no sample tells (ns since the Unix epoch). ``source`` names the session that
+    sent a message, ``now`` (s) is when it came, by any clock that never goes back; without it the newest stamp tells
+    the time.
     """
 
     def __init__(self, rejections: Rejections, stamp: Callable[[], int] | None = None) -> None:
