@@ -78,10 +78,10 @@ $(VENV)/.project: pyproject.toml $(VENV)/.runtime $(wildcard */py.typed)
 # Kernels are compiled at their first call; the first demo need not wait for that in the middle of a drive. No stamp: they
 # are cached by their sources, so that this takes seconds where nothing is to be done, and only looking tells.
 kernels: $(VENV)/.project
-	@$(BIN)/python -m reach_server.warm_up set_membership
+	@$(BIN)/python -m reach_server.service.warm_up set_membership
 
 all-kernels: $(VENV)/.project
-	@$(BIN)/python -m reach_server.warm_up
+	@$(BIN)/python -m reach_server.service.warm_up
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.project
 	@echo "installing $<"

@@ -1,16 +1,14 @@
 """How often the audit is wrong about an honest record, and how soon it tells of one that is not."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.report import Cell, Claim, Table
-from reach_server.audit import RECENT, bands
+from reach_server.audit.prediction_check import RECENT, bands
+from reach_server.numeric.types import BoolArray
 
 ALPHA = 0.01
 #: Misses in a row, on average, where they come in groups.
 GROUP = 3.0
-
-Bools = NDArray[np.bool_]
 
 
 def run(quick: bool) -> Table:
@@ -48,7 +46,7 @@ def run(quick: bool) -> Table:
     )  # fmt: skip
 
 
-def _grouped(rng: np.random.Generator, checks: int, records: int) -> Bools:
+def _grouped(rng: np.random.Generator, checks: int, records: int) -> BoolArray:
     """Misses (checks, records) as often as ``ALPHA``, that begin at random and end with one chance in ``GROUP``."""
     begin = ALPHA / GROUP / (1 - ALPHA)
     missed = np.zeros((checks, records), dtype=bool)
@@ -58,7 +56,7 @@ def _grouped(rng: np.random.Generator, checks: int, records: int) -> Bools:
     return missed
 
 
-def _watch(missed: Bools) -> tuple[Bools, Bools]:
+def _watch(missed: BoolArray) -> tuple[BoolArray, BoolArray]:
     """When records leave their bands, and when they are outside (checks, records)."""
     leaves, returns = bands(ALPHA)
     total = np.cumsum(missed, axis=0, dtype=np.int32)

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.families import Floats, Sets, random_rows, strip_cuts
+from benchmarks.families import Sets, random_rows, strip_cuts
 from benchmarks.peers import zonoopt_set
 from benchmarks.report import Cell, Claim, Table
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope
 
 ROWS, LEFT = 4, 1
@@ -43,20 +44,20 @@ def run(quick: bool) -> Table:
     )
 
 
-def _reduced(sets: Sets) -> Floats:
+def _reduced(sets: Sets) -> FloatArray:
     return sets.all().reduce_constraints(LEFT).area()
 
 
-def _dropped(sets: Sets) -> Floats:
+def _dropped(sets: Sets) -> FloatArray:
     return sets.all().keep_newest_constraints(LEFT).area()
 
 
-def _box(sets: Sets) -> Floats:
+def _box(sets: Sets) -> FloatArray:
     lower, upper = sets.all().interval_hull()
     return np.asarray((upper - lower).prod(axis=-1))
 
 
-def _zonoopt(sets: Sets) -> Floats:
+def _zonoopt(sets: Sets) -> FloatArray:
     found = []
     for i in range(len(sets)):
         z = zonoopt_set(sets, i)
@@ -68,7 +69,7 @@ def _zonoopt(sets: Sets) -> Floats:
     return np.array(found)
 
 
-WAYS: dict[str, Callable[[Sets], Floats]] = {
+WAYS: dict[str, Callable[[Sets], FloatArray]] = {
     OURS: _reduced,
     "rows dropped": _dropped,
     "certified box (no row left)": _box,

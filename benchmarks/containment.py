@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from benchmarks.report import Cell, Claim, Table
-from benchmarks.systems import DT, System, continuations, drive, systems
 from fleet_bus.messages import Label, VehicleProfile
-from reach_server.engine import Engine, KnownInputs
-from reach_server.results import Tubes
-from reach_server.sets import membership
-from reach_server.sets.arrays import Array
-from reach_server.sets.compiled import compiled
-from reach_server.windows import Floats, SampleBatch
+from fleet_lab.systems import DT, System, continuations, drive, systems
+from reach_server.data.window import SampleBatch
+from reach_server.engine.engine import Engine, PlannedInputs
+from reach_server.engine.results import Tubes
+from reach_server.numeric.jit import kernel
+from reach_server.numeric.types import FloatArray
+from reach_server.sets.kernels import membership
 
 START = 10**18
 #: Samples between two tubes of a vehicle, so that models are refitted and windows move on in between.
@@ -50,9 +50,9 @@ class Evidence:
     tubes: int
     states: NDArray[np.int64]
     outside: NDArray[np.int64]
-    area: Floats
-    ratio: Floats
-    reach: Floats
+    area: FloatArray
+    ratio: FloatArray
+    reach: FloatArray
     waiting: int
     unsure: int
 
@@ -90,7 +90,7 @@ class _Tally:
         self._areas, self._ratios = [np.zeros((0, horizon))], [np.zeros((0, horizon))]
         self._waiting = self._unsure = 0
 
-    def add(self, tubes: Tubes, states: Floats, perimeters: Floats, profile: VehicleProfile) -> None:
+    def add(self, tubes: Tubes, states: FloatArray, perimeters: FloatArray, profile: VehicleProfile) -> None:
         """Hold states (V, K, N, n) against the tubes of a tick; ``perimeters`` (V, N) are those of their hulls."""
         rows = np.array([int(name[1:]) for name in tubes.vehicles], dtype=np.intp)
         self._waiting += self._vehicles - len(rows)
@@ -118,7 +118,7 @@ class _Tally:
         return Evidence(len(area), states, outside, area, ratio, self._reach, self._waiting, self._unsure)
 
 
-def held_by(center: Array, generators: Array, points: Array) -> NDArray[np.bool_]:
+def held_by(center: FloatArray, generators: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
     """Which points (B, K, n) lie in the zonotopes <center (B, n), generators (B, n, g)>, up to rounding.
 
     Decided by a certificate each way: factors that reach the point, or a direction that separates it; by a linear
@@ -144,8 +144,8 @@ def held_by(center: Array, generators: Array, points: Array) -> NDArray[np.bool_
     return np.asarray(held)
 
 
-@compiled
-def _decide(generators: Array, least: Array, wanted: Array) -> NDArray[np.int8]:
+@kernel
+def _decide(generators: FloatArray, least: FloatArray, wanted: FloatArray) -> NDArray[np.int8]:
     """1 inside, 0 outside, -1 undecided (B, K): points (B, K, n) of zonotopes (B, n, g) around zero whose half-widths
     are at most 1. ``least`` (B, g, n) gives factors of least norm; from them on, one factor after another is moved to
     where it brings the point nearest, and the rest that stays separates the point if it is outside."""
@@ -199,13 +199,13 @@ def _decide(generators: Array, least: Array, wanted: Array) -> NDArray[np.int8]:
     return verdict
 
 
-def _perimeters(points: Floats) -> Floats:
+def _perimeters(points: FloatArray) -> FloatArray:
     """Perimeters (V, N) of the convex hulls of points (V, K, N, 2); of a plane set π times its mean width."""
     # Joggled (QJ), since hulls may be flat; the area of a planar hull is its perimeter.
     return np.array([[ConvexHull(one, qhull_options="QJ").area for one in np.swapaxes(v, 0, 1)] for v in points])
 
 
-def _samples(system: System, measured: Floats, inputs: Floats, first: int, last: int) -> SampleBatch:
+def _samples(system: System, measured: FloatArray, inputs: FloatArray, first: int, last: int) -> SampleBatch:
     """Samples ``first`` to ``last - 1`` of all vehicles."""
     count, vehicles = last - first, measured.shape[1]
     k = np.repeat(np.arange(first, last), vehicles)
@@ -220,11 +220,11 @@ def _samples(system: System, measured: Floats, inputs: Floats, first: int, last:
     )
 
 
-def _known(system: System, later: Floats) -> KnownInputs | None:
+def _known(system: System, later: FloatArray) -> PlannedInputs | None:
     if system.plan_tolerance is None:
         return None
     plan = np.ascontiguousarray(np.swapaxes(later, 0, 1))
-    return KnownInputs(plan, np.broadcast_to(system.plan_tolerance, (len(plan), plan.shape[2])).copy())
+    return PlannedInputs(plan, np.broadcast_to(system.plan_tolerance, (len(plan), plan.shape[2])).copy())
 
 
 def run(quick: bool) -> Table:

@@ -2,11 +2,12 @@
 
 from matplotlib.figure import Figure
 
-from benchmarks import fleets, plots
-from benchmarks.fleets import Drives
+from benchmarks import plots
 from benchmarks.report import Cell, Table
 from benchmarks.timing import spread
 from benchmarks.updates import HORIZON, METHODS, PREDICATES, WINDOW, measure, published_seconds, samples
+from fleet_lab import fleets
+from fleet_lab.fleets import Drives
 
 VEHICLES, UPDATES, REPEATS = 100, 24, 7
 AXES: dict[str, tuple[int, ...]] = {

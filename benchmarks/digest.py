@@ -87,7 +87,7 @@ def parts(tubes: Tubes) -> Iterator[bytes]:
 
 def main() -> int:
     """Print a line for each drive, method and scenario."""
-    names = {path.stem: path for path in (ROOT / "fleet_cli" / "profiles").glob("*.yaml")}
+    names = {path.stem: path for path in ROOT.glob("fleet_*/profiles/*.yaml")}
     for recording, profile_name in RECORDINGS.items():
         path = next(p for name, p in names.items() if name.startswith(profile_name))
         profile = load_profile(path)

@@ -5,7 +5,8 @@ from shapely import Point, Polygon
 
 from benchmarks.report import Cell, Claim, Table
 from reach_server.predicates import tangents
-from reach_server.sets import ConstrainedZonotope, Zonotope, planar
+from reach_server.sets import ConstrainedZonotope, Zonotope
+from reach_server.sets import polygon as planar
 
 RADIUS = 1.2
 

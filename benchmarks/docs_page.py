@@ -16,7 +16,7 @@ from benchmarks.page import claims_table, conditions_lines, figures_lines, text
 from benchmarks.report import Outcome, Report, read
 from benchmarks.suite import draw
 from fleet_bus.errors import UsageError
-from fleet_cli.outputs import write_text
+from fleet_lab.files import write_text
 
 DOCS: Final = ROOT / "docs"
 PAGE, FIGURES = "benchmarks.md", "benchmarks.json"

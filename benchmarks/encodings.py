@@ -7,10 +7,11 @@ import numpy as np
 from benchmarks.formulas import Atoms, random_tree, satisfied, text_of
 from benchmarks.report import Cell, Claim, Table
 from fleet_bus.messages import EventKind
-from reach_server.engine import Engine, KnownInputs
+from reach_server.data.window import SampleBatch
+from reach_server.engine.engine import Engine, PlannedInputs
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Context, Literals
-from reach_server.sets import membership
-from reach_server.windows import Floats, SampleBatch
+from reach_server.sets.kernels import membership
 from side_info import Scenario
 from side_info.progression import DEAD, Grid
 from side_info.progression import Table as Obligations
@@ -140,11 +141,11 @@ def _tubes(
     for vehicle in vehicles:
         engine.assign(vehicle, scenario, START + time_zero * parameters.dt_ns)
     checked = missed = events = 0
-    ratios: list[Floats] = []
+    ratios: list[FloatArray] = []
     for k in range(first, last):
         batch = SampleBatch.join([_samples(d, slot, k, k + 1, parameters) for slot, d in enumerate(drives)])
         plan = np.stack([d.inputs[k + 1 : k + engine.horizon] for d in drives])
-        tubes = engine.step(batch, KnownInputs(plan, np.zeros((len(drives), plan.shape[2]))))
+        tubes = engine.step(batch, PlannedInputs(plan, np.zeros((len(drives), plan.shape[2]))))
         events += sum(event.kind is EventKind.CONTRADICTION for event in tubes.events)
         ratios.append(tubes.area[:, -1] / tubes.area_free[:, -1])
         for h, sets in enumerate(tubes.steps):

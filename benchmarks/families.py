@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,9 +13,9 @@ class Sets:
     """S inhabited planar sets ``{Gβ : Aβ = b, |β| <= 1}``: generators (S, 2, g), matrix (S, c, g), offset (S, c)."""
 
     name: str
-    generators: Floats
-    matrix: Floats
-    offset: Floats
+    generators: FloatArray
+    matrix: FloatArray
+    offset: FloatArray
 
     def __len__(self) -> int:
         return len(self.generators)
@@ -70,9 +68,9 @@ class Cuts:
 
     name: str
     zonotopes: Zonotope
-    normal: Floats
-    middle: Floats
-    radius: Floats
+    normal: FloatArray
+    middle: FloatArray
+    radius: FloatArray
 
 
 def cuts(name: str, pairs: int, seed: int = 1) -> Cuts:

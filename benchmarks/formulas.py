@@ -5,10 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from reach_server.numeric.types import BoolArray, FloatArray
+
 #: ("atom", number) | ("not" | "and" | "or", …) | ("always" | "eventually", a, b, φ) | ("until", a, b, φ, ψ), in steps
 Tree = tuple[Any, ...]
 
@@ -16,7 +15,7 @@ Tree = tuple[Any, ...]
 class Atoms:
     """Predicates over x1, x2 as text and as a function of states (..., 2); thresholds spread over ``points`` (K, 2)."""
 
-    def __init__(self, rng: random.Random, points: Floats) -> None:
+    def __init__(self, rng: random.Random, points: FloatArray) -> None:
         def at(axis: int, low: float, high: float) -> float:
             return round(float(np.quantile(points[:, axis], rng.uniform(low, high))), 3)
 
@@ -25,7 +24,7 @@ class Atoms:
         a, b, c, d = at(0, 0.1, 0.6), at(1, 0.4, 0.9), at(0, 0.05, 0.3), at(0, 0.6, 0.95)
         r = round(float(np.quantile(distance, rng.uniform(0.5, 0.9))), 3)
         p, q = middle.tolist()
-        self._made: list[tuple[str, Callable[[Floats], Bools]]] = [
+        self._made: list[tuple[str, Callable[[FloatArray], BoolArray]]] = [
             (f"x1 >= {a}", lambda x: x[..., 0] >= a),
             (f"x2 <= {b}", lambda x: x[..., 1] <= b),
             (f"{c} <= x1 <= {d}", lambda x: (c <= x[..., 0]) & (x[..., 0] <= d)),
@@ -39,7 +38,7 @@ class Atoms:
         """The predicate as a formula."""
         return self._made[number][0]
 
-    def hold(self, number: int, x: Floats) -> Bools:
+    def hold(self, number: int, x: FloatArray) -> BoolArray:
         """Whether it holds of states (..., 2)."""
         return self._made[number][1](x)
 
@@ -81,7 +80,7 @@ def _window(a: int, b: int, step_ms: int) -> str:
     return f"[{a * step_ms} ms:{b * step_ms} ms]"
 
 
-def satisfied(tree: Tree, x: Floats, k: int, atoms: Atoms) -> Bools:
+def satisfied(tree: Tree, x: FloatArray, k: int, atoms: Atoms) -> BoolArray:
     """Which trajectories (D, S, 2) satisfy the formula from sample ``k`` on."""
     match tree:
         case ("atom", number):

@@ -8,7 +8,7 @@ from typing import Final
 
 from benchmarks.report import Claim, Report, read
 from fleet_bus.errors import UsageError
-from fleet_cli.outputs import write_text
+from fleet_lab.files import write_text
 
 LATEST: Final = "latest"
 

@@ -18,17 +18,17 @@ from benchmarks.plots import bars
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import spread, swept
 from benchmarks.traces import Traces
-from reach_server.courses import ASSUME, Course
-from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
+from reach_server.numeric.types import FloatArray
+from reach_server.side_information.tracker import ASSUME, ScenarioTracker
 from side_info.progression import DEAD, TRUE
 from side_info.progression import Table as Obligations
+from side_info.stl.nnf import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 
 with warnings.catch_warnings():
     # Its parser's runtime imports from a module that Python is about to drop.
     warnings.simplefilter("ignore", DeprecationWarning)
     import rtamt
 
-Floats = NDArray[np.float64]
 
 OURS, THEIRS = "obligations", "RTAMT, online"
 FAILS = "its negation"
@@ -140,7 +140,7 @@ def tasks(vehicles: int, step_ns: int) -> Iterator[Task]:
                 yield Task(f"{scenario.name}: {name}", requirement.holds, requirement.fails, drives)
 
 
-def follow(task: Task, vehicles: NDArray[np.intp]) -> tuple[Floats, NDArray[np.int64]]:
+def follow(task: Task, vehicles: NDArray[np.intp]) -> tuple[FloatArray, NDArray[np.int64]]:
     """Seconds of each sample (K,) of all vehicles together, and their verdicts (V,): 1, -1, or 0 if open."""
     table = Obligations()
     formulas = {ASSUME: task.holds} | ({} if task.fails is None else {FAILS: task.fails})
@@ -149,7 +149,7 @@ def follow(task: Task, vehicles: NDArray[np.intp]) -> tuple[Floats, NDArray[np.i
         return lambda grid, lead: table.add(formula, grid, lambda predicate, margin: predicate, lead=lead)
 
     step_ns = task.drives.step_ns
-    course = Course(
+    course = ScenarioTracker(
         task.drives.scenario, table, step_ns, 0, {name: root(formula) for name, formula in formulas.items()}
     )
     slots = np.arange(len(vehicles))
@@ -216,7 +216,7 @@ class Monitor:
         """Robustness as of one horizon ago."""
         return float(self._specification.update(k, inputs))
 
-    def follow(self, true: NDArray[np.bool_]) -> tuple[Floats, float]:
+    def follow(self, true: NDArray[np.bool_]) -> tuple[FloatArray, float]:
         """Seconds of each sample (K,), and the robustness at the first one; ``true`` (K, P) reaches its horizon."""
         seconds = np.zeros(len(true))
         robustness = float("nan")
@@ -227,7 +227,7 @@ class Monitor:
         return seconds, robustness
 
 
-def _round(monitors: list[Monitor], true: NDArray[np.bool_]) -> Floats:
+def _round(monitors: list[Monitor], true: NDArray[np.bool_]) -> FloatArray:
     """Seconds of a few samples, each of all vehicles, one after the other."""
     inputs = [monitor.inputs(own[:FEW]) for monitor, own in zip(monitors, true, strict=True)]
     seconds = np.zeros(FEW)

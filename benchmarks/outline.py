@@ -3,11 +3,12 @@
 import numpy as np
 import zonoopt
 
-from benchmarks.families import Floats, Sets, random_rows, strip_cuts
+from benchmarks.families import Sets, random_rows, strip_cuts
 from benchmarks.peers import zonoopt_set
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import median_seconds, repeated, spread, times_of_calls
-from reach_server.sets.planar import polygon_area
+from reach_server.numeric.types import FloatArray
+from reach_server.sets.polygon import polygon_area
 
 DIRECTIONS = 32
 
@@ -43,7 +44,7 @@ def _measure(sets: Sets, count: int, quick: bool, rows: list[tuple[Cell, ...]], 
     peer_area = np.array([abs(float(polygon_area(p))) for p in polygons])
     alone = float(np.median(ours))
 
-    def add(method: str, times: list[float], found: list[Floats], number: int = 1) -> None:
+    def add(method: str, times: list[float], found: list[FloatArray], number: int = 1) -> None:
         ratio = np.array([float(polygon_area(p)) for p in found]) / peer_area
         corners = float(np.median([len(np.unique(np.round(p, 9), axis=0)) for p in found]))
         middle, low, high = spread(times, 1e3 / number)

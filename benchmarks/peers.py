@@ -8,7 +8,8 @@ import zonoopt
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
-from benchmarks.families import Floats, Sets
+from benchmarks.families import Sets
+from reach_server.numeric.types import FloatArray
 
 #: Tolerance of the reference values.
 REFERENCE = 1e-10
@@ -27,7 +28,7 @@ def zonoopt_settings(tolerance: float) -> Any:
     return settings
 
 
-def linprog_support(sets: Sets, i: int, direction: Floats) -> float:
+def linprog_support(sets: Sets, i: int, direction: FloatArray) -> float:
     """Support of set i by ``scipy.optimize.linprog``."""
     cost = -(direction @ sets.generators[i])
     result = linprog(cost, A_eq=sets.matrix[i], b_eq=sets.offset[i], bounds=(-1, 1), method="highs")
@@ -58,7 +59,7 @@ class Program:
         self._highs.passModel(lp)
         self._columns = np.arange(g, dtype=np.int32)
 
-    def support(self, direction: Floats) -> float:
+    def support(self, direction: FloatArray) -> float:
         """Support of the set in ``direction`` (2,)."""
         self._highs.changeColsCost(len(self._columns), self._columns, -(direction @ self._generators))
         self._highs.run()

@@ -9,9 +9,9 @@ from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import median_seconds
 from reach_server.predicates import Context, Literals
 from side_info import Scenario
-from side_info.normal import Conjunction, Finally, Literal, Normal
 from side_info.progression import Grid, frontier
 from side_info.progression import Table as Obligations
+from side_info.stl.nnf import Conjunction, Finally, Literal, Normal
 
 SECOND = 10**9
 VEHICLES = 1000

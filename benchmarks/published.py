@@ -7,13 +7,13 @@ nothing but its center; it can be built all the same, to see what that takes.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Zonotope = tuple[Floats, Floats]
+from reach_server.numeric.types import FloatArray
+
+Zonotope = tuple[FloatArray, FloatArray]
 
 
-def noise_matrix_zonotope(noise: Zonotope, samples: int) -> tuple[Floats, Floats]:
+def noise_matrix_zonotope(noise: Zonotope, samples: int) -> tuple[FloatArray, FloatArray]:
     """Center (n, T) and generators (g T, n, T): a noise generator at each sample, as the matrix zonotope M_w lists
     them."""
     center, generators = noise
@@ -25,9 +25,18 @@ def noise_matrix_zonotope(noise: Zonotope, samples: int) -> tuple[Floats, Floats
 
 
 def tube(
-    states: Floats, inputs: Floats, after: Floats, start: Zonotope, plan: Floats, noise: Zonotope, allowance: Floats,
-    strips: list[tuple[Floats, float, float]], reduced_to: int, *, matrix_zonotope: bool = True,
-) -> list[Zonotope]:  # fmt: skip
+    states: FloatArray,
+    inputs: FloatArray,
+    after: FloatArray,
+    start: Zonotope,
+    plan: FloatArray,
+    noise: Zonotope,
+    allowance: FloatArray,
+    strips: list[tuple[FloatArray, float, float]],
+    reduced_to: int,
+    *,
+    matrix_zonotope: bool = True,
+) -> list[Zonotope]:
     """Sets of N steps from data (n, T), (q, T), (n, T): a linear model at each step about the center of the last set.
 
     ``plan`` (N, q) are the inputs with their lags, ``allowance`` (n,) the half-widths of Z_ε, ``strips`` (normal,
@@ -60,7 +69,7 @@ def tube(
     return sets
 
 
-def _cut(current: Zonotope, normal: Floats, middle: float, radius: float) -> Zonotope:
+def _cut(current: Zonotope, normal: FloatArray, middle: float, radius: float) -> Zonotope:
     """Algorithm 2: the zonotope of least Frobenius norm around the intersection with a strip."""
     center, generators = current
     heights = normal @ generators
@@ -69,7 +78,7 @@ def _cut(current: Zonotope, normal: Floats, middle: float, radius: float) -> Zon
     return center + weight * (middle - normal @ center), moved
 
 
-def _reduced(center: Floats, generators: Floats, kept: int) -> Zonotope:
+def _reduced(center: FloatArray, generators: FloatArray, kept: int) -> Zonotope:
     """Girard's reduction to ``kept`` generators."""
     n, g = generators.shape
     if g <= kept:

@@ -2,8 +2,8 @@
 
 from benchmarks.conditions import ROOT
 from benchmarks.report import Cell, Claim, Table
-from fleet_cli.evaluation import MethodFigures, Settings, evaluate, plan_trials
-from fleet_cli.profile_files import find_profile
+from fleet_lab.evaluation import MethodFigures, Settings, evaluate, plan_trials
+from fleet_lab.profile_files import find_profile
 from vehicle_agent.recording import load_recording
 
 FOLDER = ROOT / "tests" / "data" / "recordings"

@@ -5,10 +5,11 @@ from functools import partial
 import numpy as np
 from shapely import area, intersection, polygons
 
-from benchmarks.families import CUT_FAMILIES, Cuts, Floats, cuts
+from benchmarks.families import CUT_FAMILIES, Cuts, cuts
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import median_seconds
-from reach_server.sets.strips import StripMethod
+from reach_server.numeric.types import FloatArray
+from reach_server.sets.halfspace import StripMethod
 
 METHODS: tuple[StripMethod, ...] = ("tight", "frobenius")
 
@@ -18,7 +19,7 @@ def run(quick: bool) -> Table:
     pairs = 200 if quick else 2000
     rows: list[tuple[Cell, ...]] = []
     larger = 0.0
-    ratios: dict[str, list[Floats]] = {method: [] for method in METHODS}
+    ratios: dict[str, list[FloatArray]] = {method: [] for method in METHODS}
     for name in CUT_FAMILIES:
         family = cuts(name, pairs)
         exact = exact_area(family)
@@ -52,11 +53,11 @@ def run(quick: bool) -> Table:
     )
 
 
-def _area_after(family: Cuts, method: StripMethod) -> Floats:
+def _area_after(family: Cuts, method: StripMethod) -> FloatArray:
     return family.zonotopes.intersect_strip(family.normal, family.middle, family.radius, method).volume()
 
 
-def exact_area(family: Cuts) -> Floats:
+def exact_area(family: Cuts) -> FloatArray:
     """Areas (P,) of zonotope and strip, by polygon clipping."""
     zonotopes = family.zonotopes
     length = np.linalg.norm(family.normal, axis=1, keepdims=True)

@@ -9,7 +9,7 @@ from typing import Final
 
 from benchmarks.conditions import conditions
 from benchmarks.report import Outcome, Report, Table
-from fleet_cli.interruption import Interruption
+from fleet_lab.interruption import Interruption
 
 #: Names of the benchmarks, each a module of this package, and what they ask.
 BENCHMARKS: Final = {

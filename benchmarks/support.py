@@ -3,11 +3,12 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.families import Floats, Sets, random_rows, strip_cuts
+from benchmarks.families import Sets, random_rows, strip_cuts
 from benchmarks.peers import REFERENCE, Program, linprog_support, zonoopt_set, zonoopt_settings
 from benchmarks.plots import bars
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import repeated, spread, times_of_calls
+from reach_server.numeric.types import FloatArray
 
 #: Least difference, in half-widths of the set, that counts as below: what the reference itself may be off.
 BELOW = 1e-9
@@ -73,7 +74,7 @@ def _measure(sets: Sets, quick: bool, rows: list[tuple[Cell, ...]], claims: list
 
     alone, each = float(np.median(single)), float(np.median(batch)) / count
 
-    def add(method: str, times: list[float], found: Floats, number: int = 1) -> float:
+    def add(method: str, times: list[float], found: FloatArray, number: int = 1) -> float:
         off = (found - exact[: len(found)]) / half_width[: len(found)]
         below = float((off < -BELOW).mean())
         middle, low, high = spread(times, 1e6 / number)

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Context, Literals
 from side_info import Scenario
-from side_info.normal import reach_ns
+from side_info.stl.nnf import reach_ns
 from vehicle_agent.route import load_route
 from vehicle_agent.simulate import simulate_drive
 from vehicle_agent.svea import SveaParameters
-
-Floats = NDArray[np.float64]
 
 #: Simulated drives, of which each vehicle has one, begun so many seconds too late (negative) to too early.
 DRIVES, SHIFT = 6, (-26.0, 8.0)
@@ -62,7 +61,7 @@ def convoy(vehicles: int, step_ns: int) -> Traces:
     return Traces(scenario, step_ns, _holding(scenario, states, {"x1": 0, "x2": 1, "yaw": 2, "v": 3}))
 
 
-def _holding(scenario: Scenario, states: Floats, index: dict[str, int]) -> NDArray[np.bool_]:
+def _holding(scenario: Scenario, states: FloatArray, index: dict[str, int]) -> NDArray[np.bool_]:
     """(V, K, P) of exact states (V, K, n)."""
     vehicles, count, n = states.shape
     points = states.reshape(-1, n)

@@ -9,13 +9,14 @@ from itertools import count
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import fleets, published
-from benchmarks.fleets import Drives
+from benchmarks import published
 from benchmarks.plots import bars
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import seconds, spread, swept
-from reach_server.engine import Engine, KnownInputs
-from reach_server.results import Tubes
+from fleet_lab import fleets
+from fleet_lab.fleets import Drives
+from reach_server.engine.engine import Engine, PlannedInputs
+from reach_server.engine.results import Tubes
 
 WINDOW, HORIZON, PREDICATES = 1000, 10, 2
 METHODS = ("calibrated", "paper", "set_membership")
@@ -83,7 +84,7 @@ def _updates(drives: Drives, vehicles: int, method: str, predicates: int, later:
 
     def update() -> Tubes:
         k = next(moments)
-        return engine.step(drives.batch(vehicles, k), KnownInputs(drives.plan(vehicles, k), exactly))
+        return engine.step(drives.batch(vehicles, k), PlannedInputs(drives.plan(vehicles, k), exactly))
 
     for _ in range(WARM_UP):
         update()

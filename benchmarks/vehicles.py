@@ -5,19 +5,20 @@ from numpy.typing import NDArray
 
 from benchmarks.report import Cell, Claim, Table
 from benchmarks.timing import median_seconds, seconds
-from reach_server.cuts import CutMethod
-from reach_server.factor_sets import FactorSet
-from reach_server.model import NoiseBounds, fit
+from reach_server.data.input_sets import InputSets
+from reach_server.data.regressors import RegressorSpec, transitions
+from reach_server.data.window import Block
+from reach_server.models.residual_model import NoiseBounds, fit
+from reach_server.numeric.slot_table import take_rows
 from reach_server.predicates import Context, Literals
-from reach_server.recursion import InputSets, Recursion
-from reach_server.regression import Layout, transitions
-from reach_server.rows import take
-from reach_server.tube import Knowledge, Tracks, Tube, propagate
-from reach_server.windows import Block
+from reach_server.predicates.cut_kinds import CutMethod
+from reach_server.sets.raw import RawSets
+from reach_server.tube.branching import Hypotheses, SideInformation, Tube, propagate
+from reach_server.tube.recursion import Recursion
 from side_info import LinearPredicate
-from side_info.normal import Conjunction, Globally, Literal
 from side_info.progression import Grid
 from side_info.progression import Table as Obligations
+from side_info.stl.nnf import Conjunction, Globally, Literal
 from vehicle_agent.simulate import simulate_history
 from vehicle_agent.svea import SveaParameters, profile
 
@@ -29,7 +30,7 @@ def run(quick: bool) -> Table:
     vehicles = 50 if quick else 1000
     parameters = SveaParameters()
     svea = profile(parameters)
-    layout = Layout.of(svea)
+    layout = RegressorSpec.of(svea)
     bounds = NoiseBounds.of(svea, layout)
     drive = simulate_history(1, SAMPLES, parameters)
     yes = np.ones((1, SAMPLES), dtype=bool)
@@ -37,7 +38,9 @@ def run(quick: bool) -> Table:
     linked[:, 0] = False
     times = np.arange(SAMPLES, dtype=np.int64)[None] * parameters.dt_ns
     block = Block(times, drive.measured[None], drive.inputs[None], yes, yes, linked)
-    model = take(fit(transitions(block, layout), layout, bounds, svea.lipschitz), np.zeros(vehicles, dtype=np.intp))
+    model = take_rows(
+        fit(transitions(block, layout), layout, bounds, svea.lipschitz), np.zeros(vehicles, dtype=np.intp)
+    )
 
     rng = np.random.default_rng(0)
     states = np.column_stack([
@@ -48,7 +51,7 @@ def run(quick: bool) -> Table:
     inputs = InputSets(
         known[:, : layout.lags], known[:, layout.lags :], np.broadcast_to(0.1 * limit, (vehicles, HORIZON, 2))
     )
-    start = FactorSet.zonotope(states, np.broadcast_to(bounds.measurement, (vehicles, *bounds.measurement.shape)))
+    start = RawSets.zonotope(states, np.broadcast_to(bounds.measurement, (vehicles, *bounds.measurement.shape)))
     # A corridor along each axis, always, near the border of which some of the vehicles are.
     literals = Literals(layout.n, (0, 1), np.zeros((layout.n, 0)))
     names = [
@@ -63,13 +66,13 @@ def run(quick: bool) -> Table:
     claims: list[Claim] = []
     methods: tuple[CutMethod, ...] = ("zonotope", "constrained")
     for cuts in methods:
-        knowledge = Knowledge(obligations, literals, lambda k, track: _nowhere, cuts, (0, 1))
+        knowledge = SideInformation(obligations, literals, lambda k, track: _nowhere, cuts, (0, 1))
 
-        def tube(which: slice, knowledge: Knowledge = knowledge) -> Tube:
-            motion = Recursion(take(inputs, which), take(model, which), bounds.process, layout)
-            sets = take(start, which)
+        def tube(which: slice, knowledge: SideInformation = knowledge) -> Tube:
+            motion = Recursion(take_rows(inputs, which), take_rows(model, which), bounds.process, layout)
+            sets = take_rows(start, which)
             each = np.arange(len(sets.center))
-            tracks = Tracks(each, sets, each, np.full(len(each), root), np.ones(len(each), dtype=bool))
+            tracks = Hypotheses(each, sets, each, np.full(len(each), root), np.ones(len(each), dtype=bool))
             return propagate(tracks, motion, knowledge, layout.n)
 
         batch = median_seconds(lambda: tube(slice(None)), 3) / vehicles
@@ -81,8 +84,9 @@ def run(quick: bool) -> Table:
         claims.append(Claim(text, single / batch, "≥", 1.0))
     return Table(
         "Tubes of many vehicles",
-        f"`reach_server.tube.propagate`, {HORIZON} steps, {SAMPLES} samples in the window, two strips a step, the same "
-        "vehicles both ways. 'Difference' is the greatest one in any half-width of an interval hull, relative to it; "
+        f"`reach_server.tube.branching.propagate`, {HORIZON} steps, {SAMPLES} samples in the window, two strips a "
+        "step, the same vehicles both ways. 'Difference' is the greatest one in any half-width of an interval hull, "
+        "relative to it; "
         "constrained sets of a batch share their rows, and so drop the oldest at other moments than a set alone.",
         ("cuts", "vehicles", "ms a vehicle, one batch", "ms a vehicle, single calls", "ratio", "difference"),
         rows,

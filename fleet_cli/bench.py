@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fleet_bus.errors import UsageError
-from fleet_cli.outputs import check_writable, make_folder, write_json, write_text
+from fleet_lab.files import check_writable, make_folder, write_json, write_text
 
 if TYPE_CHECKING:
     from benchmarks.history import Comparison

@@ -15,9 +15,9 @@ from fleet_bus.messages import EventKind
 from fleet_bus.router import Router
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
-from reach_server.assignments import Assignments
-from reach_server.windows import Block
-from side_info.scenario import Scenario
+from reach_server.data.window import Block
+from reach_server.side_information.scenarios import Assignments
+from side_info.documents.scenario import Scenario
 
 #: Seconds that the processes have to get ready, and the vehicles to get their first tube.
 READY_SECONDS = 60.0

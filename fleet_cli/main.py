@@ -17,8 +17,8 @@ from fleet_bus.errors import FleetError, ScenarioError, Stopped, UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 from fleet_cli import logs, offline
 from fleet_cli.bench import bench
-from fleet_cli.outputs import check_writable, write_json
-from fleet_cli.paper.command import paper
+from fleet_cli.paper import paper
+from fleet_lab.files import check_writable, write_json
 
 app = typer.Typer(
     name="fleet",
@@ -92,7 +92,7 @@ def reach(
     router: Routers = _DEFAULT_ROUTERS,
 ) -> None:
     """Run a reach server until interrupted."""
-    from reach_server.server import ReachServer
+    from reach_server.service.server import ReachServer
 
     stop = stop_on_signals()
     with ReachServer(id, router, stop=stop) as server:
@@ -116,9 +116,9 @@ def side_info(
     nothing is published but that the service is there.
     """
     from fleet_bus import Role, open_session
-    from side_info import watching
-    from side_info.scenario import Scenario
-    from side_info.service import EVERY_VEHICLE, SideInfoService
+    from side_info.documents.scenario import Scenario
+    from side_info.service import watching
+    from side_info.service.service import EVERY_VEHICLE, SideInfoService
 
     stop = stop_on_signals()
     names = scenarios or []
@@ -162,7 +162,7 @@ def scenario_list(
 ) -> None:
     """Name the scenarios that ship with the project, and what each is about."""
     from fleet_cli.scenario_files import describe
-    from side_info.scenario import Scenario, shipped
+    from side_info.documents.scenario import Scenario, shipped
 
     found = {name: describe(Scenario.load(name)) for name in shipped()}
     if str(json_file) != "-":
@@ -181,7 +181,7 @@ def scenario_check(
 ) -> None:
     """Check scenario documents; exit code 2 names the errors with their places, warnings do not change it."""
     from fleet_cli import scenario_files
-    from fleet_cli.profile_files import find_profile
+    from fleet_lab.profile_files import find_profile
 
     chosen = find_profile(profile) if profile is not None else None
     checked, errors = scenario_files.check(scenarios, chosen, sample_time)
@@ -233,7 +233,7 @@ def agent(
 ) -> None:
     """Run vehicle agents until interrupted, or until their recording ends."""
     from fleet_cli.agents import recorded, simulated, work
-    from fleet_cli.profile_files import find_profile
+    from fleet_lab.profile_files import find_profile
 
     stop = stop_on_signals()
     chosen = find_profile(profile)
@@ -259,7 +259,7 @@ def replay(
 ) -> None:
     """Publish recordings as live vehicles."""
     from fleet_cli.agents import recorded, vehicle_names, work
-    from fleet_cli.profile_files import find_profile
+    from fleet_lab.profile_files import find_profile
 
     stop = stop_on_signals()
     chosen = find_profile(profile)

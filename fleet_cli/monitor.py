@@ -14,8 +14,8 @@ from fleet_bus.errors import FleetError, KeyIdError, MessageError
 from fleet_bus.messages import Assignment, Event, ReachTube, ServiceStatus, StateFlag, StateSample, VehicleProfile
 from fleet_bus.pubsub import Received, declare_recovering_subscriber, subscribe
 from fleet_bus.rejections import Rejections
-from reach_server.regression import wrap
-from reach_server.sets import membership
+from reach_server.data.regressors import wrap
+from reach_server.sets.kernels import membership
 
 #: (vehicle, epoch, seq)
 SampleKey = tuple[str, int, int]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import UsageError
-from fleet_cli.outputs import check_writable, make_folder, write_json, write_text
+from fleet_lab.files import check_writable, make_folder, write_json, write_text
 
 
 def evaluate(
@@ -33,8 +33,9 @@ def evaluate(
     ] = None,
 ) -> None:
     """Coverage, area and time of the engine over recordings, method beside method."""
-    from fleet_cli import evaluation, reports
-    from fleet_cli.profile_files import find_profile
+    from fleet_cli import reports
+    from fleet_lab import evaluation
+    from fleet_lab.profile_files import find_profile
     from vehicle_agent.recording import load_recording
 
     if inputs not in evaluation.INPUTS:
@@ -58,7 +59,7 @@ def evaluate(
         reports.print_evaluation(figures, chosen, names)
     write_json(document, json_file)
     if picture is not None:
-        from fleet_cli.evaluation.picture import draw_evaluation
+        from fleet_lab.evaluation.picture import draw_evaluation
 
         draw_evaluation(figures, names, chosen, picture)
         if str(json_file) != "-":
@@ -82,9 +83,10 @@ def calibrate(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found here; '-' for stdout.")] = None,
 ) -> None:
     """A profile from recordings: timing, delay, noise and slopes, and how often its sets hold on runs held out."""
-    from fleet_cli import calibration, reports
-    from fleet_cli.calibration import report as reporting
-    from fleet_cli.profile_files import profile_fields
+    from fleet_cli import reports
+    from fleet_lab import identification as calibration
+    from fleet_lab.identification import report as reporting
+    from fleet_lab.profile_files import profile_fields
     from vehicle_agent.recording import load_recording
 
     for option, path in (("-o", output), ("--json", json_file)):

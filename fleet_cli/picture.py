@@ -12,13 +12,14 @@ from fleet_bus.errors import UsageError
 from fleet_bus.messages import StateSample
 from fleet_cli.monitor import Monitor
 from fleet_cli.scenario_activity import activity
-from reach_server.engine import Engine, KnownInputs
-from reach_server.figures import PlaneStrips, figures
+from reach_server.data.window import SampleBatch
+from reach_server.engine.engine import Engine, PlannedInputs
+from reach_server.engine.results import Tubes
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Literals
-from reach_server.results import Tubes
-from reach_server.sets import planar
-from reach_server.windows import Floats, SampleBatch
-from side_info.scenario import Scenario
+from reach_server.sets import polygon as planar
+from reach_server.tube.summaries import PlaneStrips, figures
+from side_info.documents.scenario import Scenario
 
 #: Instants shown, as parts of the scenario's length.
 INSTANTS = (0.3, 0.625, 0.85)
@@ -101,7 +102,7 @@ def _draw_vehicle(axis: Axes, monitor: Monitor, scenario: Scenario, vehicle: str
     plane = monitor.profiles[vehicle].position
     for k in range(0, len(tubes.steps), 3):
         center = tubes.free[k].center[0, list(plane)]
-        free: Floats = center + figures(tubes.free[k], nothing, PlaneStrips.none(), plane).outline()[0]
+        free: FloatArray = center + figures(tubes.free[k], nothing, PlaneStrips.none(), plane).outline()[0]
         cut = tubes.steps[k].center[0, list(plane)] + tubes.outline[0, k]
         axis.add_patch(Polygon(free, closed=True, fc="none", ec="0.45", ls="--", lw=0.9))
         axis.add_patch(Polygon(cut, closed=True, fc=color, ec=color, alpha=0.45, lw=0.8))
@@ -119,6 +120,6 @@ def _tubes_at(monitor: Monitor, scenario: Scenario, vehicle: str, t: int) -> Tub
     engine.append(SampleBatch.of(slot, samples[:-1]))
     plan = samples[-1].plan
     exactly = np.zeros((1, len(engine.profile.inputs)))
-    known = None if plan is None else KnownInputs(plan[None, : engine.horizon - 1], exactly)
+    known = None if plan is None else PlannedInputs(plan[None, : engine.horizon - 1], exactly)
     tubes = engine.step(SampleBatch.of(slot, samples[-1:]), known)
     return tubes if tubes.vehicles else None

@@ -1,11 +1,9 @@
 """What the command prints: progress, tables, summaries."""
 
-import math
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -13,11 +11,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 
 from fleet_bus.messages import VehicleProfile
-from fleet_cli.evaluation import MethodFigures, StepFigures
-from fleet_cli.evaluation.figures import ROLLING
-
-#: Mean and median of areas that differ by more than this factor are told of.
-APART: Final = 10.0
+from fleet_lab.evaluation import MethodFigures, StepFigures
+from fleet_lab.evaluation.text import evaluation_lines, number
 
 
 @contextmanager
@@ -68,83 +63,13 @@ def print_evaluation(figures: Mapping[str, MethodFigures], profile: VehicleProfi
     for column in ("inside", "worst run", "mean", "median", f"at {share}", *(["ratio"] if len(figures) > 1 else [])):
         table.add_column(column, justify="right", no_wrap=True)
     for row in zip(*(method.steps for method in figures.values()), strict=True):
-        for number, (name, step) in enumerate(zip(figures, row, strict=True)):
+        for place, (name, step) in enumerate(zip(figures, row, strict=True)):
             ratio = [_ratio(step, row[0])] if len(figures) > 1 else []
-            table.add_row(str(step.step) if number == 0 else "", name, *_step_cells(step), *ratio)
+            table.add_row(str(step.step) if place == 0 else "", name, *_step_cells(step), *ratio)
     console = Console()
     console.print(table)
     for line in evaluation_lines(figures):
         console.print(line, highlight=False, soft_wrap=True)
-
-
-def evaluation_lines(figures: Mapping[str, MethodFigures]) -> list[str]:
-    """Times, labels, worst runs, rolling coverage and events of each method."""
-    lines = []
-    for name, method in figures.items():
-        labels = ", ".join(f"{count} {label}" for label, count in sorted(method.label_counts.items()))
-        lines.append(
-            f"{name}: {method.update_us_median:.0f} µs an update (median; 99 %: {method.update_us_p99:.0f}), "
-            f"labels: {labels}"
-        )
-        ends = dict.fromkeys((method.steps[0], method.steps[-1]))
-        lines.append("  checked: " + ", ".join(f"{step.checked} at step {step.step}" for step in ends))
-        worst = [step for step in method.steps if step.worst_run is not None and step.worst_run < 1]
-        if worst:
-            step = min(worst, key=lambda s: s.worst_run or 0.0)
-            share = 100 * (step.worst_run or 0.0)
-            lines.append(f"  worst run of all steps: {step.worst_run_name}, {share:.1f} % at step {step.step}")
-        lines += _areas(method)
-        lines += _over_time(method)
-        if method.waiting:
-            reasons = ", ".join(f"{count} {reason}" for reason, count in method.waiting.items())
-            lines.append(f"  samples without a tube: {reasons}")
-        if method.events:
-            first: dict[str, Any] = {}
-            for event in method.events:
-                first.setdefault(event.kind, event)
-            counts = Counter(event.kind for event in method.events)
-            told = ", ".join(f"{n} {kind} (first after {first[kind].sample} samples)" for kind, n in counts.items())
-            lines.append(f"  events: {told}")
-    return lines
-
-
-def _areas(method: MethodFigures) -> list[str]:
-    """Mean and median of the area at the first and the last step, and where they differ by orders of magnitude: then a
-    few sets are what the mean is made of."""
-    checked = [step for step in method.steps if step.checked]
-    if not checked:
-        return []
-    ends = dict.fromkeys((checked[0], checked[-1]))
-    told = "; ".join(f"{number(s.area_mean)} and {number(s.area_median)} at step {s.step}" for s in ends)
-    lines = [f"  area, mean and median: {told}"]
-    apart = [step for step in checked if step.area_mean > APART * step.area_median]
-    if apart:
-        step = max(apart, key=lambda s: s.area_mean / s.area_median if s.area_median else math.inf)
-        times = number(step.area_mean / step.area_median) if step.area_median else "infinitely many"
-        lines.append(
-            f"  areas differ by orders of magnitude: at step {step.step} the mean is {times} times the median (more "
-            f"than {APART:g} times at {len(apart)} of {len(checked)} steps), so a few sets are far larger than the "
-            "others; the notes of their tubes say why"
-        )
-    return lines
-
-
-def _over_time(method: MethodFigures) -> list[str]:
-    """Where the coverage over the newest checks was lowest, and where it ended, for one trial."""
-    lines = []
-    for trial in method.rolling:
-        full = [i for i, at in enumerate(trial.sample) if at - trial.sample[0] >= ROLLING]
-        if not full or len(method.rolling) > 1:
-            continue
-        parts = []
-        for step, shares in trial.steps.items():
-            low = min(full, key=lambda i: shares[i])
-            parts.append(
-                f"step {step}: lowest {100 * shares[low]:.1f} % after {trial.sample[low]} samples, "
-                f"last {100 * shares[-1]:.1f} %"
-            )
-        lines.append(f"  over the newest {ROLLING} checks: {'; '.join(parts)}")
-    return lines
 
 
 def _step_cells(step: StepFigures) -> list[str]:
@@ -160,12 +85,6 @@ def _ratio(step: StepFigures, base: StepFigures) -> str:
     if step is base or not step.area_equal or not base.area_equal:
         return ""
     return number(step.area_equal / base.area_equal)
-
-
-def number(value: float) -> str:
-    """Three significant digits, without an exponent where that is short."""
-    text = f"{value:.3g}"
-    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 
 def print_summary(summary: Mapping[str, Any]) -> None:

@@ -7,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until
-from side_info.scenario import Scenario
-
-Bools = NDArray[np.bool_]
+from reach_server.numeric.types import BoolArray
+from side_info.documents.scenario import Scenario
+from side_info.stl.nnf import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until
 
 #: Samples up to which activity is followed.
 MOST_STEPS: Final = 20_000
@@ -27,8 +26,8 @@ class Activity:
     """
 
     sample_time: float
-    always: Bools
-    some: Bools
+    always: BoolArray
+    some: BoolArray
 
     @property
     def cut_short(self) -> bool:
@@ -48,13 +47,13 @@ def activity(scenario: Scenario, sample_time: float) -> Activity:
     return Activity(sample_time, always, some)
 
 
-def spans(active: Bools, sample_time: float) -> list[tuple[float, float]]:
+def spans(active: BoolArray, sample_time: float) -> list[tuple[float, float]]:
     """Times (s) of the first and last sample of each run of true ones in ``active`` (K,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], active.astype(np.int8), [0]))))
     return [(float(a) * sample_time, float(b - 1) * sample_time) for a, b in edges.reshape(-1, 2)]
 
 
-def _asked(formula: Normal, step_ns: int, shape: tuple[int, int]) -> tuple[Bools, Bools]:
+def _asked(formula: Normal, step_ns: int, shape: tuple[int, int]) -> tuple[BoolArray, BoolArray]:
     """What a formula asks for (K, P) from the sample on at which it holds: in every way to fulfil it, in some."""
     always, some = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     match formula:
@@ -90,7 +89,7 @@ def _samples(start_ns: int, end_ns: int, step_ns: int, count: int) -> tuple[int,
     return min(-(-start_ns // step_ns), count), min(end_ns // step_ns, count)
 
 
-def _shifted(asked: Bools, first: int, last: int) -> NDArray[np.int64]:
+def _shifted(asked: BoolArray, first: int, last: int) -> NDArray[np.int64]:
     """At each sample, how many of the shifts from ``first`` to ``last`` samples bring a question there: (K, P)."""
     count = len(asked)
     sums = np.zeros((count + 1, asked.shape[1]), dtype=np.int64)
@@ -99,9 +98,9 @@ def _shifted(asked: Bools, first: int, last: int) -> NDArray[np.int64]:
     return np.subtract(sums[np.clip(k - first + 1, 0, count)], sums[np.clip(k - last, 0, count)])
 
 
-def _any_shift(asked: Bools, first: int, last: int) -> Bools:
+def _any_shift(asked: BoolArray, first: int, last: int) -> BoolArray:
     return _shifted(asked, first, last) > 0 if first <= last else np.zeros_like(asked)
 
 
-def _each_shift(asked: Bools, first: int, last: int) -> Bools:
+def _each_shift(asked: BoolArray, first: int, last: int) -> BoolArray:
     return _shifted(asked, first, last) == last - first + 1 if first <= last else np.zeros_like(asked)

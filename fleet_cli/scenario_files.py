@@ -8,10 +8,10 @@ import numpy as np
 
 from fleet_bus.errors import ScenarioError
 from fleet_bus.messages import VehicleProfile
-from side_info.lint import Finding, lint
-from side_info.normal_form import literals_in
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
-from side_info.scenario import Scenario, shipped
+from side_info.documents.lint import Finding, lint
+from side_info.documents.scenario import Scenario, shipped
+from side_info.stl.normal_form import literals_in
+from side_info.stl.predicates import DiscPredicate, LinearPredicate, Predicate
 
 
 @dataclass(frozen=True, slots=True)

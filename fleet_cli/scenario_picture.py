@@ -14,7 +14,7 @@ from fleet_bus.errors import UsageError
 from fleet_cli.scenario_activity import Activity, spans
 from fleet_cli.scenario_files import describe
 from fleet_cli.scenario_plane import Drawn, Plane, lay_out
-from side_info.scenario import Scenario
+from side_info.documents.scenario import Scenario
 
 #: Predicates shown over time.
 MOST_ROWS: Final = 40

@@ -6,9 +6,10 @@ from functools import reduce
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from side_info.expression import (
+from reach_server.numeric.types import FloatArray
+from side_info.documents.scenario import Scenario
+from side_info.stl.expression import (
     Call,
     Expression,
     Last,
@@ -22,12 +23,9 @@ from side_info.expression import (
     Sum,
     Time,
 )
-from side_info.normal import Conjunction, Constant, Disjunction, Literal, Normal
-from side_info.normal_form import literals_in
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
-from side_info.scenario import Scenario
-
-Floats = NDArray[np.float64]
+from side_info.stl.nnf import Conjunction, Constant, Disjunction, Literal, Normal
+from side_info.stl.normal_form import literals_in
+from side_info.stl.predicates import DiscPredicate, LinearPredicate, Predicate
 
 #: Points of the raster in each direction.
 POINTS: Final = 601
@@ -51,8 +49,8 @@ class Plane:
     """The raster: ``names`` of its two states, ``x`` and ``y`` (N,) along them in their units."""
 
     names: tuple[str, str]
-    x: Floats
-    y: Floats
+    x: FloatArray
+    y: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class Drawn:
     """A region's ``margin`` (N, N), rows along y: it holds where that is at least 0."""
 
     name: str
-    margin: Floats
+    margin: FloatArray
 
 
 def lay_out(scenario: Scenario) -> tuple[Plane | None, tuple[Drawn, ...], dict[str, str]]:
@@ -145,7 +143,7 @@ def _extent(predicate: Predicate) -> Mapping[str, tuple[float, float]]:
     return {}
 
 
-def _margin(formula: Normal, predicates: tuple[Predicate, ...], grid: Mapping[str, Floats]) -> Floats:
+def _margin(formula: Normal, predicates: tuple[Predicate, ...], grid: Mapping[str, FloatArray]) -> FloatArray:
     shape = next(iter(grid.values())).shape
     match formula:
         case Constant(value):
@@ -159,7 +157,7 @@ def _margin(formula: Normal, predicates: tuple[Predicate, ...], grid: Mapping[st
     raise TypeError(f"a region has no {type(formula).__name__}")
 
 
-def _predicate_margin(predicate: Predicate, grid: Mapping[str, Floats]) -> Floats:
+def _predicate_margin(predicate: Predicate, grid: Mapping[str, FloatArray]) -> FloatArray:
     match predicate:
         case LinearPredicate(_, coefficients, lower, upper):
             value = np.sum([factor * grid[name] for name, factor in coefficients.items()], axis=0)
@@ -189,7 +187,7 @@ _FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
 }
 
 
-def _value(expression: Expression, grid: Mapping[str, Floats]) -> Floats:
+def _value(expression: Expression, grid: Mapping[str, FloatArray]) -> FloatArray:
     match expression:
         case Number(value):
             return np.asarray(value)

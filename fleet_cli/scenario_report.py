@@ -11,7 +11,7 @@ from rich.text import Text
 
 from fleet_cli.scenario_activity import Activity, spans
 from fleet_cli.scenario_files import Checked, describe, place, predicate_text
-from side_info.scenario import Scenario
+from side_info.documents.scenario import Scenario
 
 #: Characters of a predicate that are printed.
 _LONGEST: Final = 110

@@ -1,11 +1,11 @@
 """Side information: formulas of signal temporal logic, scenarios, and the service that publishes them.
 
-``side_info.service`` is not imported here: who only reads scenarios needs no network.
+``side_info.service.service`` is not imported here: who only reads scenarios needs no network.
 """
 
 from fleet_bus.errors import ScenarioError
-from side_info.declarations import Declarations
-from side_info.formula import (
+from side_info.documents.scenario import Requirement, Scenario, shipped
+from side_info.stl.ast import (
     Always,
     And,
     Atom,
@@ -18,8 +18,8 @@ from side_info.formula import (
     Region,
     Until,
 )
-from side_info.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
-from side_info.scenario import Requirement, Scenario, shipped
+from side_info.stl.declarations import Declarations
+from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
 __all__ = [
     "Always",

@@ -118,9 +118,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile kernels before the first test that needs them: its limit of time is there to end what hangs."""
-    if session.config.option.collectonly or not session.items or "reach_server.sets.compiled" not in sys.modules:
+    if session.config.option.collectonly or not session.items or "reach_server.numeric.jit" not in sys.modules:
         return
-    from reach_server import warm_up
+    from reach_server.service import warm_up
 
     began = time.monotonic()
     tell(session.config, "making kernels ready: seconds if they are in the cache, else minutes …")

@@ -73,7 +73,7 @@ def test_a_number_that_is_none_is_refused(tmp_path: Path, name: str, wrong: str)
 
 
 def test_kernels_are_compiled_before_the_tests_that_need_them_and_for_no_others(tmp_path: Path) -> None:
-    said = run(tmp_path, "import reach_server.sets.compiled\ndef test_nothing(): pass\n")
+    said = run(tmp_path, "import reach_server.numeric.jit\ndef test_nothing(): pass\n")
     assert re.search(r"making kernels ready.*\n.*kernels took .* s\n", said)
     assert "1 passed" in said
     assert "kernels took" not in run(tmp_path, "def test_nothing(): pass\n")

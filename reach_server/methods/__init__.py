@@ -1,21 +1,22 @@
 """Ways to compute sets from data, by name."""
 
-from fleet_bus.errors import UsageError
 from fleet_bus.messages import VehicleProfile
 from fleet_bus.messages.methods import METHODS
-from reach_server.methods.bounded import Bounded
-from reach_server.methods.conformal import Conformal
-from reach_server.methods.linear import Linear
-from reach_server.methods.method import Forecast, Method
-from reach_server.windows import Window
+from reach_server.audit.labels import Claim
+from reach_server.data.window import Window
 
-__all__ = ["METHODS", "Forecast", "Method", "method_of"]
+# Each registers the methods that it holds.
+from reach_server.methods import conformal, lti, set_membership  # noqa: F401
+from reach_server.methods.base import Forecast, Method
+from reach_server.methods.registry import Setup, find, register
+
+__all__ = ["METHODS", "Claim", "Forecast", "Method", "Setup", "method_of", "register"]
 
 
 def method_of(
     name: str | None, profile: VehicleProfile, window: Window, horizon: int, *, planned: bool
-) -> tuple[str, Method]:
-    """The method of that name, or the profile's, and what it is called.
+) -> tuple[str, Method, Claim]:
+    """The method of that name, or the profile's: what it is called, the method, and what its sets claim.
 
     ``default`` is ``set_membership`` where every bound is given, else ``calibrated``. Raises ``UsageError`` for an
     unknown name, and for a profile that the method cannot work with.
@@ -23,10 +24,5 @@ def method_of(
     wanted = name or profile.method
     if wanted == "default":
         wanted = "set_membership" if profile.guaranteed else "calibrated"
-    if wanted == "calibrated":
-        return wanted, Conformal(profile, window, horizon, planned=planned)
-    if wanted == "lti":
-        return wanted, Linear(profile, window, horizon)
-    if wanted in METHODS:
-        return wanted, Bounded(profile, wanted, window, horizon)
-    raise UsageError(f"method {wanted!r} is unknown: choose one of default, {', '.join(METHODS)}")
+    entry = find(wanted)
+    return wanted, entry.build(Setup(profile, window, horizon, planned)), entry.claim

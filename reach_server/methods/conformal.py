@@ -6,43 +6,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
-from reach_server.calibrated.held import Bounds
-from reach_server.calibrated.learner import Boxes, Calibrated
-from reach_server.factor_sets import FactorSet
-from reach_server.limits import limits_ahead, states_limits
-from reach_server.methods.method import Outlook, Reason, Slots
-from reach_server.model import NoiseBounds
-from reach_server.plans import StraightPlan
-from reach_server.regression import Layout
-from reach_server.rows import with_room
-from reach_server.seen import MARGIN
-from reach_server.served import KnownInputs, Served
-from reach_server.straight import StraightTubes, box_tubes
-from reach_server.windows import Block, Floats, Window
+from reach_server.audit.labels import Claim
+from reach_server.data.observed_range import MARGIN
+from reach_server.data.regressors import RegressorSpec
+from reach_server.data.window import Block, Window
+from reach_server.methods.base import Outlook, Reason
+from reach_server.methods.registry import Setup, register
+from reach_server.methods.request import PlannedInputs, TubeRequest
+from reach_server.models.conformal.held import Bounds
+from reach_server.models.conformal.predictor import Boxes, ConformalPredictor
+from reach_server.models.kinematic_bounds import limits_ahead, states_limits
+from reach_server.models.residual_model import NoiseBounds
+from reach_server.numeric.slot_table import grow_rows
+from reach_server.numeric.types import FloatArray, IndexArray
+from reach_server.predicates.cut_kinds import CutMethod
+from reach_server.sets.raw import RawSets
+from reach_server.tube.cut_schedule import CutSchedule
+from reach_server.tube.unbranched import UnbranchedTubes, box_tubes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxForecast:
     """Boxes that are known before, each cut by itself."""
 
-    start: FactorSet
+    start: RawSets
     motion: Boxes
     plane: tuple[int, int]
-    frobenius: bool
+    cuts: CutMethod
     outlook: Outlook
 
-    def ahead(self) -> tuple[Floats, Floats]:
+    def ahead(self) -> tuple[FloatArray, FloatArray]:
         """See ``Forecast``."""
         center = np.concatenate([self.start.center[:, None], self.motion.center], axis=1)
         generators = np.zeros((*center.shape, center.shape[2]))
         generators[:, 1:] = self.motion.generators
         return center, generators
 
-    def straight(self, rows: Slots, plan: StraightPlan) -> StraightTubes:
+    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes:
         """See ``Forecast``."""
         return box_tubes(
             self.motion.center[rows], self.motion.generators[rows], self.start.center[rows],
-            self.start.generators[rows], plan, self.plane, "frobenius" if self.frobenius else "zonotope",
+            self.start.generators[rows], plan, self.plane, self.cuts,
         )  # fmt: skip
 
 
@@ -58,9 +62,9 @@ class Conformal:
         self._window = window
         self._horizon = horizon
         self._limited = states_limits(profile)
-        layout = Layout.of(profile)
+        layout = RegressorSpec.of(profile)
         self.bounds = NoiseBounds.of(profile, layout)
-        self._models = Calibrated(profile, layout, window, horizon, planned=planned)
+        self._models = ConformalPredictor(profile, layout, window, horizon, planned=planned)
         self.notes: tuple[str, ...] = () if planned else ("learned driver",)
         if self._models.resolved < horizon:
             self.notes += (f"after step {self._models.resolved} few independent errors",)
@@ -80,14 +84,14 @@ class Conformal:
     def grow(self, slots: int) -> None:
         """See ``Method``."""
         self._models.grow(slots)
-        self._told = with_room(self._told, slots, self._told)
+        self._told = grow_rows(self._told, slots, self._told)
 
     def reset(self, slot: int) -> None:
         """See ``Method``."""
         self._models.reset(slot)
         self._told[slot] = 0
 
-    def learn(self, slots: Slots) -> None:
+    def learn(self, slots: IndexArray) -> None:
         """See ``Method``."""
         self._models.observe(slots)
         self._models.refit(slots)
@@ -98,11 +102,11 @@ class Conformal:
         self._told[slots] = self._models.glitches[slots]
         return list(zip(slots.tolist(), self._window.newest(slots)[2].tolist(), strict=True))
 
-    def missing(self, slots: Slots) -> NDArray[np.int64]:
+    def missing(self, slots: IndexArray) -> NDArray[np.int64]:
         """See ``Method``."""
         return self._models.missing(slots)
 
-    def reasons(self, slots: Slots, block: Block, known: KnownInputs | None) -> list[Reason]:
+    def reasons(self, slots: IndexArray, block: Block, known: PlannedInputs | None) -> list[Reason]:
         """See ``Method``."""
         unplanned = np.full(len(slots), self._planned and known is None)
         return [
@@ -110,24 +114,24 @@ class Conformal:
             (unplanned, "no plan of the later inputs came, and the model rests on it"),
         ]
 
-    def rank_deficient(self, slots: Slots) -> NDArray[np.bool_]:
+    def rank_deficient(self, slots: IndexArray) -> NDArray[np.bool_]:
         """None: what the data does not determine is held small."""
         return np.zeros(len(slots), dtype=bool)
 
-    def forecast(self, served: Served) -> BoxForecast:
+    def forecast(self, served: TubeRequest) -> BoxForecast:
         """See ``Method``."""
         plan = served.known.plan if served.known is not None and self._planned else None
         x = served.block.x[:, -1]
         bounds = self._bounds(served.slots, x) if self._limited else None
         boxes = self._models.predict(served.slots, plan, bounds=bounds)
-        start = FactorSet.zonotope(x, np.zeros((*x.shape, 0)))
+        start = RawSets.zonotope(x, np.zeros((*x.shape, 0)))
         outlook = Outlook(boxes.unseen, boxes.held)
         if bounds is not None:
             slack = MARGIN * self._models.fastest(served.slots)[:, None] if bounds.noisy else 0.0
             outlook = Outlook(boxes.unseen, boxes.held, bounds.low - slack, bounds.high + slack)
-        return BoxForecast(start, boxes, self._profile.position, self._profile.cuts == "frobenius", outlook)
+        return BoxForecast(start, boxes, self._profile.position, self._profile.cuts, outlook)
 
-    def _bounds(self, slots: Slots, x: Floats) -> Bounds:
+    def _bounds(self, slots: IndexArray, x: FloatArray) -> Bounds:
         """Stated bounds of the measured states ahead: those of the true ones, widened by the stated noise once more."""
         ahead = limits_ahead(self._profile, x, self._horizon)
         apart = 2.0 * float(np.hypot(*ahead.error[list(self._profile.position)]))
@@ -135,3 +139,8 @@ class Conformal:
             ahead.low - ahead.error, ahead.high + ahead.error, ahead.way + apart,
             self._profile.noise.measurement is None,
         )  # fmt: skip
+
+
+@register("calibrated", Claim(rate=True))
+def _calibrated(setup: Setup) -> Conformal:
+    return Conformal(setup.profile, setup.window, setup.horizon, planned=setup.planned)

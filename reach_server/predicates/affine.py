@@ -13,29 +13,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.predicates.cuts import Blur, Context, Status, Strips
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.expansion import Above
-from reach_server.predicates.fields import Jet
-from reach_server.predicates.linear import status_of
+from reach_server.predicates.halfspace import status_of
+from reach_server.predicates.interface import Context, StateUncertainty, Status, Strips
+from reach_server.predicates.interval_ad.enclosure import Jet
 from reach_server.predicates.nonlinear import NonlinearCutter
 from reach_server.predicates.remainders import middle
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import EPS
-from side_info.expression import Expression, Name, Negation, Product, Sum, names_of
+from side_info.stl.expression import Expression, Name, Negation, Product, Sum, names_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AffineCutter(NonlinearCutter):
     """The predicate that a ``field`` that is affine in the states, and defined everywhere, is not negative."""
 
-    def status(self, center: Array, generators: Array, context: Context) -> Status:
+    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
         """See ``Cutter``: by bounds of h over the set."""
         with np.errstate(all="ignore"):
             moved = self._above(center, generators, context, self.blur.still(), 1.0)
             still = self._above(center, generators, context, None, -1.0)
             return status_of(still.greatest <= 0, moved.negative)
 
-    def strips(self, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+    def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
         """See ``Cutter``: normal (R, 1, n), a half-space from below."""
         places = list(self.field.places)
         with np.errstate(all="ignore"):
@@ -49,7 +49,9 @@ class AffineCutter(NonlinearCutter):
         lower = np.where(np.isfinite(level), level, -np.inf)[:, None]
         return Strips(wide, lower, np.full_like(lower, np.inf)), above.negative
 
-    def _above(self, center: Array, generators: Array, context: Context, blur: Blur | None, sign: float) -> Above:
+    def _above(
+        self, center: FloatArray, generators: FloatArray, context: Context, blur: StateUncertainty | None, sign: float
+    ) -> Above:
         """A linear function that is nowhere on the true states of the sets less than ``sign`` h."""
         places = list(self.field.places)
         middle_of, columns = center[:, places], generators[:, places]
@@ -71,7 +73,7 @@ class AffineCutter(NonlinearCutter):
         greatest = np.where(known, top + reached + margin, np.inf)
         return Above(normal, top, greatest, np.where(known, size, 0.0), np.zeros(len(center)))
 
-    def _coefficients(self, context: Context, rows: int, margin: float | None) -> tuple[Array, Jet]:
+    def _coefficients(self, context: Context, rows: int, margin: float | None) -> tuple[FloatArray, Jet]:
         """A point (R, s), and h there with its gradient, for the rows of a context."""
         if context.series is None or context.place is None:
             return self._evaluated(context, rows, margin)
@@ -82,7 +84,7 @@ class AffineCutter(NonlinearCutter):
         point, jet = context.series.found[key]
         return point[context.place], jet[context.place]
 
-    def _evaluated(self, context: Context, rows: int, margin: float | None) -> tuple[Array, Jet]:
+    def _evaluated(self, context: Context, rows: int, margin: float | None) -> tuple[FloatArray, Jet]:
         places = list(self.field.places)
         point = context.last_lower[:, places] / 2 + context.last_upper[:, places] / 2
         point = np.where(np.isfinite(point), point, 0.0)

@@ -10,13 +10,13 @@ of the inside. Along a ray ``h`` is near a parabola, whose root is one Newton st
 
 import numpy as np
 
+from reach_server.numeric.intervals import EPS, add_down, add_up
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates.expansion import Expansion
-from reach_server.predicates.fields import Field
-from reach_server.predicates.ranges import dot, product
+from reach_server.predicates.interval_ad.arithmetic import Bounds
+from reach_server.predicates.interval_ad.enclosure import PredicateFunction
+from reach_server.predicates.interval_ad.linear_range import dot, product
 from reach_server.predicates.remainders import middle, upper_dot
-from reach_server.predicates.rules import Bounds
-from reach_server.sets.arrays import Array
-from reach_server.sets.intervals import EPS, add_down, add_up
 
 #: Tangents at most.
 MOST_TANGENTS = 16
@@ -24,7 +24,7 @@ MOST_TANGENTS = 16
 _SWEEPS = 8
 
 
-def directions(dimension: int) -> Array:
+def directions(dimension: int) -> FloatArray:
     """Unit vectors (K, s), opposite ones half of them apart: both ways in one dimension, a regular polygon in the
     plane, axes and corners of a box beyond."""
     if dimension == 1:
@@ -39,8 +39,13 @@ def directions(dimension: int) -> Array:
 
 
 def tangents(
-    field: Field, points: Array, given: Bounds, center: Array, half: Array, curvature: Array
-) -> tuple[Array, Array]:
+    field: PredicateFunction,
+    points: FloatArray,
+    given: Bounds,
+    center: FloatArray,
+    half: FloatArray,
+    curvature: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Half-spaces ``normal·x >= bound`` (R, K, s), (R, K) that hold for all x of boxes with ``h(x) >= 0``: outer.
 
     points (R, K, s) lie in the boxes ``center ± half`` (R, s), on which no eigenvalue of the Hessian is greater than
@@ -60,7 +65,7 @@ def tangents(
     return normal, np.where(np.isfinite(bound), bound, -np.inf)
 
 
-def border(field: Field, expansion: Expansion, given: Bounds) -> Array:
+def border(field: PredicateFunction, expansion: Expansion, given: Bounds) -> FloatArray:
     """Points (R, K, s) of the boxes near ``h = 0``, as far apart as their directions allow."""
     value, _ = middle(expansion.point.value)
     gradient, _ = middle(expansion.point.gradient)
@@ -75,7 +80,7 @@ def border(field: Field, expansion: Expansion, given: Bounds) -> Array:
     return _refined(field, expansion, given, inside, rays, first)
 
 
-def _highest(gradient: Array, hessian: Array, half: Array) -> Array:
+def _highest(gradient: FloatArray, hessian: FloatArray, half: FloatArray) -> FloatArray:
     """About where (R, s) the parabola ``gradient·d + ½ dᵀ hessian d`` is greatest for ``|d| <= half``."""
     d = np.zeros_like(half)
     for _ in range(_SWEEPS):
@@ -88,13 +93,15 @@ def _highest(gradient: Array, hessian: Array, half: Array) -> Array:
     return d
 
 
-def _parabola(value: Array, gradient: Array, hessian: Array, d: Array) -> tuple[Array, Array]:
+def _parabola(
+    value: FloatArray, gradient: FloatArray, hessian: FloatArray, d: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Height (R,) and slope (R, s) of a parabola at d."""
     bent = (hessian @ d[..., None])[..., 0]
     return value + (gradient * d).sum(axis=1) + 0.5 * (bent * d).sum(axis=1), gradient + bent
 
 
-def _rays(hessian: Array, height: Array, half: Array) -> Array:
+def _rays(hessian: FloatArray, height: FloatArray, half: FloatArray) -> FloatArray:
     """Directions (R, K, s), spread evenly over an ellipsoid like the part of the box in which ``h >= 0``."""
     with np.errstate(all="ignore"):
         like = -hessian / (2 * height)[:, None, None]
@@ -108,7 +115,9 @@ def _rays(hessian: Array, height: Array, half: Array) -> Array:
     return np.asarray(found * half[:, None])
 
 
-def _reached(inside: Array, rays: Array, half: Array, height: Array, slope: Array, hessian: Array) -> Array:
+def _reached(
+    inside: FloatArray, rays: FloatArray, half: FloatArray, height: FloatArray, slope: FloatArray, hessian: FloatArray
+) -> FloatArray:
     """Where (R, K, s) the parabola comes to 0 on rays from ``inside``, or the box ends."""
     along = (rays * slope[:, None]).sum(axis=2)
     bend = 0.5 * np.einsum("rki,rij,rkj->rk", rays, hessian, rays)
@@ -119,7 +128,7 @@ def _reached(inside: Array, rays: Array, half: Array, height: Array, slope: Arra
     return inside[:, None] + _stopped(root, inside, rays, half)[..., None] * rays
 
 
-def _stopped(root: Array, inside: Array, rays: Array, half: Array) -> Array:
+def _stopped(root: FloatArray, inside: FloatArray, rays: FloatArray, half: FloatArray) -> FloatArray:
     """``root`` (R, K), but not beyond the box; its end where there is none."""
     with np.errstate(all="ignore"):
         ends = (np.copysign(half[:, None], rays) - inside[:, None]) / rays
@@ -128,7 +137,14 @@ def _stopped(root: Array, inside: Array, rays: Array, half: Array) -> Array:
     return np.where(root >= 0, np.minimum(root, end), end)
 
 
-def _refined(field: Field, expansion: Expansion, given: Bounds, inside: Array, rays: Array, first: Array) -> Array:
+def _refined(
+    field: PredicateFunction,
+    expansion: Expansion,
+    given: Bounds,
+    inside: FloatArray,
+    rays: FloatArray,
+    first: FloatArray,
+) -> FloatArray:
     """Points one Newton step further along their rays."""
     rows, count, s = first.shape
     center, lower, upper = (a[:, None] for a in (expansion.center, expansion.lower, expansion.upper))

@@ -3,13 +3,13 @@
 import casadi
 import numpy as np
 
-from reach_server.sets.arrays import Array
+from reach_server.numeric.types import FloatArray
 
 DISC_TANGENTS = 16
 """Tangents of a disc: 16 leave at most 1.3 % more than its own area, and pair up to 8 strips."""
 
 
-def tangents(center: Array, radius: float, count: int = DISC_TANGENTS) -> tuple[Array, Array]:
+def tangents(center: FloatArray, radius: float, count: int = DISC_TANGENTS) -> tuple[FloatArray, FloatArray]:
     """Half-spaces ``normal·x <= bound`` (count, 2), (count,) around the disc with ``center`` (2,) and that radius, in
     the units of the states: tangents of ``r² - |x - q|²``, outer.
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.predicates.fields import Field, Jet
-from reach_server.predicates.ranges import reach
+from reach_server.numeric.intervals import add_down, add_up, sum_up
+from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.predicates.interval_ad.arithmetic import Bounds
+from reach_server.predicates.interval_ad.enclosure import Jet, PredicateFunction
+from reach_server.predicates.interval_ad.linear_range import reach
 from reach_server.predicates.remainders import greatest_curvature, greatest_quadratic, middle, upper_dot
-from reach_server.predicates.rules import Bounds
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import add_down, add_up, sum_up
-from reach_server.sets.kernels import EMPTY_MARGIN
+from reach_server.sets.kernels.strip import EMPTY_MARGIN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,16 +28,16 @@ class Expansion:
     """h over zonotopes ``center`` (R, s), ``generators`` (R, s, g) with boxes ``lower``, ``upper`` and half-widths
     ``half`` (R, s): its jets over the ``box`` and at the center (``point``)."""
 
-    center: Array
-    generators: Array
-    half: Array
-    lower: Array
-    upper: Array
+    center: FloatArray
+    generators: FloatArray
+    half: FloatArray
+    lower: FloatArray
+    upper: FloatArray
     box: Jet
     point: Jet
 
     @staticmethod
-    def of(field: Field, center: Array, generators: Array, given: Bounds) -> "Expansion":
+    def of(field: PredicateFunction, center: FloatArray, generators: FloatArray, given: Bounds) -> "Expansion":
         """The expansion of a field, from one evaluation for all boxes and centers."""
         half = sum_up(np.abs(generators))
         lower, upper = add_down(center, -half), add_up(center, half)
@@ -46,7 +46,7 @@ class Expansion:
         rows = len(center)
         return Expansion(center, generators, half, lower, upper, both[:rows], both[rows:])
 
-    def __getitem__(self, rows: Mask) -> "Expansion":
+    def __getitem__(self, rows: BoolArray) -> "Expansion":
         return Expansion(
             self.center[rows], self.generators[rows], self.half[rows], self.lower[rows], self.upper[rows],
             self.box[rows], self.point[rows],
@@ -82,13 +82,13 @@ class Above:
     (R,): no eigenvalue of a Hessian is greater.
     """
 
-    normal: Array
-    top: Array
-    greatest: Array
-    size: Array
-    curvature: Array
+    normal: FloatArray
+    top: FloatArray
+    greatest: FloatArray
+    size: FloatArray
+    curvature: FloatArray
 
     @property
-    def negative(self) -> Mask:
+    def negative(self) -> BoolArray:
         """Where h is certainly negative on the whole set, by more than the rounding of the set itself."""
         return np.asarray(self.greatest < -EMPTY_MARGIN * self.size)

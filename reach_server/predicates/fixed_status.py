@@ -6,18 +6,24 @@ outwards by one unit in the last place.
 
 import numpy as np
 
-from reach_server.predicates.cuts import HOLDS, MAY_HOLD, NEVER, Status
-from reach_server.sets.arrays import Array
-from reach_server.sets.compiled import compiled
-from reach_server.sets.intervals import EPS
-from reach_server.sets.kernels import EMPTY_MARGIN
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.jit import kernel
+from reach_server.numeric.types import FloatArray
+from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER, Status
+from reach_server.sets.kernels.strip import EMPTY_MARGIN
 
 _HOLDS, _MAY_HOLD, _NEVER = HOLDS, MAY_HOLD, NEVER
 
 
-@compiled
+@kernel
 def fixed_status(
-    normal: Array, lower: Array, upper: Array, moved_lower: Array, moved_upper: Array, center: Array, generators: Array
+    normal: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    moved_lower: FloatArray,
+    moved_upper: FloatArray,
+    center: FloatArray,
+    generators: FloatArray,
 ) -> Status:
     """``HOLDS`` (R,) where all of a zonotope (R, n), (R, n, g) lies in all C strips (C, n), (C,), (C,); ``NEVER`` where
     it misses one of those with the moved bounds (C,), by more than rounding; else ``MAY_HOLD``."""
@@ -59,7 +65,7 @@ def fixed_status(
     return found
 
 
-@compiled
+@kernel
 def _product(a: float, b: float) -> tuple[float, float]:
     if a == 0.0 or b == 0.0:
         return 0.0, 0.0
@@ -69,19 +75,19 @@ def _product(a: float, b: float) -> tuple[float, float]:
     return np.nextafter(value, -np.inf), np.nextafter(value, np.inf)
 
 
-@compiled
+@kernel
 def _lost(a: float, b: float, total: float) -> float:
     back = total - a
     return (a - (total - back)) + (b - back)
 
 
-@compiled
+@kernel
 def _add_up(a: float, b: float) -> float:
     total = a + b
     return total if _lost(a, b, total) <= 0.0 else np.nextafter(total, np.inf)
 
 
-@compiled
+@kernel
 def _add_down(a: float, b: float) -> float:
     total = a + b
     return total if _lost(a, b, total) >= 0.0 else np.nextafter(total, -np.inf)

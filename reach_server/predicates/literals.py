@@ -5,23 +5,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.affine import AffineCutter, affine_in_states
-from reach_server.predicates.bounded import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
-from reach_server.predicates.cuts import Blur, Context, Cutter, Status, Strips
-from reach_server.predicates.fields import Field
-from reach_server.predicates.linear import FixedStrips, LinearCutter
+from reach_server.predicates.convex_region import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
+from reach_server.predicates.halfspace import FixedStrips, LinearCutter
+from reach_server.predicates.interface import Context, PredicateEnclosure, StateUncertainty, Status, Strips
+from reach_server.predicates.interval_ad.enclosure import PredicateFunction
 from reach_server.predicates.nonlinear import NonlinearCutter
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import EPS
-from side_info.expression import Last, Steps, nodes_of
-from side_info.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
+from side_info.stl.expression import Last, Steps, nodes_of
+from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry:
     scenario: str
     name: str
-    cutter: Cutter
+    cutter: PredicateEnclosure
     looks_back: bool
 
 
@@ -38,7 +38,7 @@ class Literals:
             g = 0 for sets of true states; None or infinite where that is not known, so that no predicate can cut.
     """
 
-    def __init__(self, n: int, plane: tuple[int, int] | None, noise: Array | None) -> None:
+    def __init__(self, n: int, plane: tuple[int, int] | None, noise: FloatArray | None) -> None:
         self._n = n
         self.plane = plane
         known = noise is not None and bool(np.isfinite(noise).all())
@@ -54,7 +54,7 @@ class Literals:
         *,
         scenario: str,
         name: str,
-        speed: Array | float = 0.0,
+        speed: FloatArray | float = 0.0,
         margin_ns: int = 0,
     ) -> int:
         """The number of a literal: ``predicate`` holds at some time up to ``margin_ns`` from the sample.
@@ -68,13 +68,13 @@ class Literals:
         key = (scenario, name, margin_ns, motion.tobytes(), _content(predicate), tuple(sorted(index.items())))
         if key not in self._known:
             noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
-            cutter = self._compiled(predicate, index, Blur(noise, motion, margin))
+            cutter = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
             self._known[key] = len(self._entries)
             self._entries.append(_Entry(scenario, name, cutter, _looks_back(predicate)))
         return self._known[key]
 
     @property
-    def looks_back(self) -> Mask:
+    def looks_back(self) -> BoolArray:
         """Which literals (L,) speak about the way from the last received sample."""
         return np.array([entry.looks_back for entry in self._entries], dtype=bool)
 
@@ -105,7 +105,7 @@ class Literals:
             self._fixed_strips[literal] = found
         return found
 
-    def status(self, ids: Sequence[int], center: Array, generators: Array, context: Context) -> Status:
+    def status(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Status:
         """What the literals ``ids`` (L,) come to on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
         (R, L).
 
@@ -116,7 +116,9 @@ class Literals:
             found[:, column] = self._entries[literal].cutter.status(center, generators, context)
         return found
 
-    def strips(self, literal: int, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+    def strips(
+        self, literal: int, center: FloatArray, generators: FloatArray, context: Context
+    ) -> tuple[Strips, BoolArray]:
         """Strips that hold for every state of the sets, ``center`` (R, n), ``generators`` (R, n, g), whose true state
         may satisfy the literal.
 
@@ -127,7 +129,7 @@ class Literals:
             return Strips(np.zeros((0, self._n)), nothing, nothing), np.zeros(len(center), dtype=bool)
         return self._entries[literal].cutter.strips(center, generators, context)
 
-    def _compiled(self, predicate: Predicate, index: Mapping[str, int], blur: Blur) -> Cutter:
+    def _compiled(self, predicate: Predicate, index: Mapping[str, int], blur: StateUncertainty) -> PredicateEnclosure:
         if isinstance(predicate, LinearPredicate):
             normal = np.zeros((1, self._n))
             for state, coefficient in predicate.coefficients.items():
@@ -135,9 +137,9 @@ class Literals:
             bounds = np.array([predicate.lower]), np.array([predicate.upper])
             return LinearCutter(FixedStrips(normal, *bounds, blur))
         if isinstance(predicate, DiscPredicate):
-            cutter = NonlinearCutter(Field(disc_expression(predicate), index), self._n, blur)
+            cutter = NonlinearCutter(PredicateFunction(disc_expression(predicate), index), self._n, blur)
             return BoundedCutter(disc_strips(predicate, index, self._n, blur), cutter)
-        field = Field(predicate.expression, index)
+        field = PredicateFunction(predicate.expression, index)
         if affine_in_states(predicate.expression) and field.everywhere and field.places:
             return AffineCutter(field, self._n, blur)
         cutter = NonlinearCutter(field, self._n, blur)

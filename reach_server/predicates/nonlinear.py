@@ -1,7 +1,7 @@
 """Predicates ``h >= 0`` of any smooth h: cuts that depend on the set that is cut, and on the context.
 
-A set holds states y whose true states are ``x = y + Bζ``, ``|ζ| <= 1`` (noise and motion, see ``Blur``). So x lies in
-the zonotope ``<c, [G, B]>``, over which h is expanded. Any ``h(x) <= top + a·(x - c)`` there gives, for x with
+A set holds states y whose true states are ``x = y + Bζ``, ``|ζ| <= 1`` (noise and motion, ``StateUncertainty``). So x
+lies in the zonotope ``<c, [G, B]>``, over which h is expanded. Any ``h(x) <= top + a·(x - c)`` there gives, for x with
 ``h(x) >= 0``, the half-space ``a·x >= a·c - top``, and for y ``a·y >= a·c - top - |aB|₁``. It is one for each set;
 where h is concave on the box, many (see ``concave``). A predicate says nothing where h is not defined, so a box that is
 not wholly in its domain is not cut.
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reach_server.numeric.intervals import add_down, add_up
+from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.concave import border, directions, tangents
-from reach_server.predicates.cuts import Blur, Context, Status, Strips
 from reach_server.predicates.expansion import Above, Expansion
-from reach_server.predicates.fields import Field
-from reach_server.predicates.linear import status_of
-from reach_server.predicates.ranges import dot, product, reach
-from reach_server.predicates.rules import Bounds
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import add_down, add_up
-from reach_server.sets.kernels import EMPTY_MARGIN
+from reach_server.predicates.halfspace import status_of
+from reach_server.predicates.interface import Context, StateUncertainty, Status, Strips
+from reach_server.predicates.interval_ad.arithmetic import Bounds
+from reach_server.predicates.interval_ad.enclosure import PredicateFunction
+from reach_server.predicates.interval_ad.linear_range import dot, product, reach
+from reach_server.sets.kernels.strip import EMPTY_MARGIN
 
 #: Tangents are stacked where what is missing to concavity adds less than this, relative to the range of h.
 NEARLY_CONCAVE = 1e-6
@@ -30,16 +30,16 @@ NEARLY_CONCAVE = 1e-6
 class NonlinearCutter:
     """The predicate that a ``field`` is not negative, over the first n states of a class."""
 
-    field: Field
+    field: PredicateFunction
     n: int
-    blur: Blur
+    blur: StateUncertainty
 
     @property
     def fixed(self) -> bool:
         """False."""
         return False
 
-    def status(self, center: Array, generators: Array, context: Context) -> Status:
+    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
         """See ``Cutter``: by bounds of h over the set."""
         with np.errstate(all="ignore"):
             moved, _ = self._expanded(center, generators, context, self.blur.still())
@@ -47,7 +47,7 @@ class NonlinearCutter:
             still = moved if same else self._expanded(center, generators, context, None)[0]
             return status_of((-still).above().greatest <= 0, moved.above().negative)
 
-    def strips(self, center: Array, generators: Array, context: Context) -> tuple[Strips, Mask]:
+    def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
         """See ``Cutter``: normal (R, C, n), half-spaces from below."""
         with np.errstate(all="ignore"):
             expansion, given = self._expanded(center, generators, context, self.blur)
@@ -61,7 +61,7 @@ class NonlinearCutter:
         return Strips(wide, lower, np.full_like(lower, np.inf)), empty
 
     def _expanded(
-        self, center: Array, generators: Array, context: Context, blur: Blur | None
+        self, center: FloatArray, generators: FloatArray, context: Context, blur: StateUncertainty | None
     ) -> tuple[Expansion, Bounds]:
         """The expansion over the true states of sets, as far as they may have moved; None: states as they are."""
         places = list(self.field.places)
@@ -73,7 +73,7 @@ class NonlinearCutter:
         given = self.field.given(context, rows, None if blur is None else blur.margin)
         return Expansion.of(self.field, center[:, places], columns, given), given
 
-    def _half_spaces(self, expansion: Expansion, above: Above, given: Bounds) -> tuple[Array, Array]:
+    def _half_spaces(self, expansion: Expansion, above: Above, given: Bounds) -> tuple[FloatArray, FloatArray]:
         """``normal·x >= bound`` (R, C, s), (R, C) for true states."""
         rows, s = expansion.center.shape
         if not s:
@@ -94,7 +94,7 @@ class NonlinearCutter:
         )
         return normal, bound
 
-    def _concave(self, expansion: Expansion, curvature: Array) -> Mask:
+    def _concave(self, expansion: Expansion, curvature: FloatArray) -> BoolArray:
         """Where tangents can be stacked (R,)."""
         if self.field.affine:
             return np.zeros(len(curvature), dtype=bool)
@@ -103,7 +103,9 @@ class NonlinearCutter:
         bounded = expansion.box.smooth & np.isfinite(high - low)
         return np.asarray(bounded & (missing <= NEARLY_CONCAVE * (high - low)))
 
-    def _empty(self, expansion: Expansion, above: Above, given: Bounds, normal: Array, bound: Array) -> Mask:
+    def _empty(
+        self, expansion: Expansion, above: Above, given: Bounds, normal: FloatArray, bound: FloatArray
+    ) -> BoolArray:
         """Where h is certainly negative on the set, or on what its half-spaces leave of its box."""
         empty = above.negative
         # A center that may satisfy the predicate leaves no hope.
@@ -118,7 +120,9 @@ class NonlinearCutter:
         return empty
 
 
-def contracted(lower: Array, upper: Array, normal: Array, bound: Array) -> tuple[Array, Array, Mask]:
+def contracted(
+    lower: FloatArray, upper: FloatArray, normal: FloatArray, bound: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Boxes (R, s) without what half-spaces ``normal·x >= bound`` (R, C, s), (R, C) exclude: outer; and where nothing
     is left of them, by more than the rounding of the comparison."""
     low, high = lower.copy(), upper.copy()

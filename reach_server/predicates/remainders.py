@@ -11,17 +11,17 @@ the least. All results are rounded up; they are +inf where an entry of H is not 
 
 import numpy as np
 
-from reach_server.predicates.ranges import product
-from reach_server.predicates.rules import Bounds, magnitude
-from reach_server.sets.arrays import Array
-from reach_server.sets.intervals import EPS, add_up, sum_up
-from reach_server.sets.reduction import girard
+from reach_server.numeric.intervals import EPS, add_up, sum_up
+from reach_server.numeric.types import FloatArray
+from reach_server.predicates.interval_ad.arithmetic import Bounds, magnitude
+from reach_server.predicates.interval_ad.linear_range import product
+from reach_server.sets.order_reduction import girard
 
 #: Generators that are mapped one by one.
 MAPPED = 20
 
 
-def middle(bounds: Bounds) -> tuple[Array, Array]:
+def middle(bounds: Bounds) -> tuple[FloatArray, FloatArray]:
     """Midpoint and radius of intervals, rounded so that they cover them; 0 and +inf where they are not bounded."""
     finite = np.isfinite(bounds[0]) & np.isfinite(bounds[1])
     low, high = np.where(finite, bounds[0], 0.0), np.where(finite, bounds[1], 0.0)
@@ -29,12 +29,12 @@ def middle(bounds: Bounds) -> tuple[Array, Array]:
     return mid, np.where(finite, np.maximum(add_up(high, -mid), add_up(mid, -low)), np.inf)
 
 
-def upper_dot(a: Array, b: Array) -> Array:
+def upper_dot(a: FloatArray, b: FloatArray) -> FloatArray:
     """Sum of the products of numbers that are not negative, over the last axis, rounded up; 0 times inf is 0."""
     return sum_up(product(a, b)[1])
 
 
-def greatest_quadratic(hessian: Bounds, generators: Array, curvature: Array) -> Array:
+def greatest_quadratic(hessian: Bounds, generators: FloatArray, curvature: FloatArray) -> FloatArray:
     """Upper bound (R,) of ``½ dᵀH d`` over zonotopes about 0 with generators (R, s, g), H in bounds (R, s, s).
 
     No eigenvalue of H is greater than ``curvature`` (R,).
@@ -54,7 +54,7 @@ def greatest_quadratic(hessian: Bounds, generators: Array, curvature: Array) -> 
     return greatest
 
 
-def _mapped(hessian: Bounds, generators: Array) -> Array:
+def _mapped(hessian: Bounds, generators: FloatArray) -> FloatArray:
     """The bound by the quadratic map of the generators, and of a box in place of those beyond the longest."""
     generators = girard(generators, MAPPED + generators.shape[1])
     half = sum_up(np.abs(generators))
@@ -67,7 +67,7 @@ def _mapped(hessian: Bounds, generators: Array) -> Array:
     return add_up(add_up(total, lost), _half_form(radius, half))
 
 
-def greatest_curvature(hessian: Bounds) -> Array:
+def greatest_curvature(hessian: Bounds) -> FloatArray:
     """Upper bound (R,) of the eigenvalues of all symmetric matrices within bounds (R, s, s).
 
     The lesser of the bounds by Gershgorin's discs and by the spectrum of the midpoint plus the norm of the radius.
@@ -92,7 +92,7 @@ def greatest_curvature(hessian: Bounds) -> Array:
     return np.asarray(found)
 
 
-def _half_form(matrix: Array, half: Array) -> Array:
+def _half_form(matrix: FloatArray, half: FloatArray) -> FloatArray:
     """``½ hᵀ A h`` for A and h that are not negative, rounded up."""
     rows = upper_dot(matrix, half[:, None, :])
     return upper_dot(half, 0.5 * rows)

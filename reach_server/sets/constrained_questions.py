@@ -7,10 +7,11 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from reach_server.sets import membership, support
-from reach_server.sets.arrays import Array, Mask
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.sets import support
 from reach_server.sets.constraint_reduction import Parts
-from reach_server.sets.intervals import EPS
+from reach_server.sets.kernels import membership
 
 #: The bracket of a volume is refined until it is this narrow, or after this many rounds.
 NARROW, ROUNDS = 1e-3, 4
@@ -63,7 +64,7 @@ def volume_bracket(parts: Parts) -> tuple[float, float]:
     return min(inner, outer) * unit, outer * unit
 
 
-def polygon_contains(normals: Array, heights: Array, size: Array, vertices: Array) -> Mask:
+def polygon_contains(normals: FloatArray, heights: FloatArray, size: FloatArray, vertices: FloatArray) -> BoolArray:
     """True (...) where all ``vertices`` (..., V, 2) keep ``normals`` (..., K, 2) below ``heights`` (..., K), up to 1e-7
     of ``size`` (...)."""
     reach = (vertices @ np.swapaxes(normals, -1, -2)).max(axis=-2)

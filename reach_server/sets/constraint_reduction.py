@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.sets import parallel, planar, support
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import EPS
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.sets import parallel, support
+from reach_server.sets import polygon as planar
 from reach_server.sets.precise import remainder
 
-Parts = tuple[Array, Array, Array, Array]
+Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Indices = NDArray[np.intp]
 
 #: Factors are never rescaled to less than this half-width: rounding of the rows would grow into contradictions.
@@ -33,12 +34,12 @@ COMPARED = 16
 class State(NamedTuple):
     """Parts of sets, and what rounding may have taken from their rows (..., c) and coordinates (..., n)."""
 
-    center: Array
-    generators: Array
-    matrix: Array
-    offset: Array
-    row_lost: Array
-    lost: Array
+    center: FloatArray
+    generators: FloatArray
+    matrix: FloatArray
+    offset: FloatArray
+    row_lost: FloatArray
+    lost: FloatArray
 
 
 def common_batch(parts: Parts, batch: tuple[int, ...] = ()) -> Parts:
@@ -59,7 +60,7 @@ def at(parts: Parts, place: tuple[int, ...]) -> Parts:
     return center[place], generators[place], matrix[place], offset[place]
 
 
-def factor_bounds(matrix: Array, offset: Array) -> tuple[Array, Array]:
+def factor_bounds(matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bounds (lower, upper) (..., g) of the factors with ``Aβ = b``, ``|β| <= 1``: outer, certified by duality.
 
     [-1, 1] where there are no such factors.
@@ -96,14 +97,14 @@ def rescale(parts: Parts) -> Parts:
     )
 
 
-def within_bounds(parts: Parts) -> tuple[Array, Array]:
+def within_bounds(parts: Parts) -> tuple[FloatArray, FloatArray]:
     """Center and generators of a zonotope around a set: each factor over what the constraints leave it, outer."""
     center, generators, matrix, offset = parts
     middle, half = around(*factor_bounds(matrix, offset))
     return center + (generators @ middle[..., None])[..., 0], generators * half[..., None, :]
 
 
-def around(lower: Array, upper: Array) -> tuple[Array, Array]:
+def around(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Middle and half-width, rounded up, of intervals."""
     middle = (lower + upper) / 2
     return middle, np.maximum(upper - middle, middle - lower) * (1.0 + 2 * EPS)
@@ -126,14 +127,14 @@ def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
     return _compact(_eliminated(parts, count, candidates)[0], count)
 
 
-def eliminate_all(parts: Parts) -> tuple[Array, Array, Array]:
+def eliminate_all(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Center, generators and what rounding may have taken from each coordinate (..., n) of a zonotope around a set with
     all batch axes: the constraints eliminated one by one, outer."""
     (center, generators, _, _), lost = _eliminated(parts, 0, 1)
     return center, parallel.drop_zero(generators), lost
 
 
-def _eliminated(parts: Parts, count: int, candidates: int) -> tuple[Parts, Array]:
+def _eliminated(parts: Parts, count: int, candidates: int) -> tuple[Parts, FloatArray]:
     """The parts after elimination, with more than ``count`` rows where too few factors could be solved for, and what
     the coordinates may have lost (..., n)."""
     rows = parts[2].shape[-2]
@@ -144,7 +145,7 @@ def _eliminated(parts: Parts, count: int, candidates: int) -> tuple[Parts, Array
     return state[:4], state.lost
 
 
-def row_sizes(matrix: Array, offset: Array) -> Array:
+def row_sizes(matrix: FloatArray, offset: FloatArray) -> FloatArray:
     """``Σ|A_ij| + |b_i|`` (..., c): what the rounding of a row is relative to."""
     return np.asarray(np.abs(matrix).sum(axis=-1) + np.abs(offset))
 
@@ -182,12 +183,12 @@ def _without_one(state: State, count: int, candidates: int) -> State:
     return State(*chosen)
 
 
-def _pivot_rows(matrix: Array, offset: Array) -> Indices:
+def _pivot_rows(matrix: FloatArray, offset: FloatArray) -> Indices:
     """For each column (..., g) the row in which it is largest, rows of size 1."""
     return np.asarray(np.abs(support.unit_rows(matrix, offset)[0]).argmax(axis=-2), dtype=np.intp)
 
 
-def _harmless(state: State) -> Mask:
+def _harmless(state: State) -> BoolArray:
     """True (..., g) where solving for the factor takes no more than ``RELIABLE`` from any coordinate by rounding."""
     center, generators, matrix, offset, row_lost, lost = state
     i = _pivot_rows(matrix, offset)
@@ -234,13 +235,13 @@ def _eliminate(state: State, j: Indices) -> State:
     )
 
 
-def _columns(matrix: Array, j: Indices) -> Array:
+def _columns(matrix: FloatArray, j: Indices) -> FloatArray:
     """Column j (..., K) of the matrix (..., 1, r, g): (..., K, r)."""
     wide = np.broadcast_to(matrix, j.shape + matrix.shape[-2:])
     return np.asarray(np.take_along_axis(wide, j[..., None, None], axis=-1)[..., 0])
 
 
-def _least_excess(matrix: Array, offset: Array) -> Array:
+def _least_excess(matrix: FloatArray, offset: FloatArray) -> FloatArray:
     """How far (..., g) beyond [-1, 1] each factor can go if its own bounds alone are given up, at most ``FAR``."""
     g = matrix.shape[-1]
     unit = np.eye(g)
@@ -249,7 +250,7 @@ def _least_excess(matrix: Array, offset: Array) -> Array:
     return np.asarray(np.maximum(FAR * found.bound.max(axis=-1) - 1.0, 0.0))
 
 
-def _propagated_excess(matrix: Array, offset: Array) -> Array:
+def _propagated_excess(matrix: FloatArray, offset: FloatArray) -> FloatArray:
     """The same by interval propagation through the rows, twice ([SDB+16], algorithm 1): larger, infinite at most."""
     rows, g = matrix.shape[-2:]
     shape = (*np.broadcast_shapes(matrix.shape[:-2], offset.shape[:-1]), g)
@@ -270,7 +271,7 @@ def _propagated_excess(matrix: Array, offset: Array) -> Array:
     return np.asarray(np.maximum(np.maximum(-reach_low, reach_high) - 1.0, 0.0))
 
 
-def _stiffness(generators: Array, matrix: Array) -> Array:
+def _stiffness(generators: FloatArray, matrix: FloatArray) -> FloatArray:
     """Per factor (..., g): the least ``|WGd|² + |d|²`` with ``Ad = 0``, ``d_j = 1``, inverted ([SDB+16], section 4.2).
 
     The paper has W = 1. Here W takes each coordinate in thousandths of its width: what happens in space counts, and the
@@ -286,7 +287,7 @@ def _stiffness(generators: Array, matrix: Array) -> Array:
     return np.asarray(np.maximum(np.diagonal(projected, axis1=-2, axis2=-1), 1e-12))
 
 
-def _size(parts: Parts) -> Array:
+def _size(parts: Parts) -> FloatArray:
     """What candidates (..., K) are compared by: area in the plane, else the product of the widths (logarithms)."""
     _, generators, matrix, offset = parts
     n = generators.shape[-2]
@@ -311,7 +312,7 @@ def _compact(parts: Parts, count: int) -> Parts:
     return center, generators, matrix, offset
 
 
-def without_zero_columns(generators: Array, matrix: Array) -> tuple[Array, Array]:
+def without_zero_columns(generators: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Columns that are zero in both are left out (in a batch: as far as all sets have them): exact."""
     n = generators.shape[-2]
     lifted = parallel.drop_zero(np.concatenate([generators, matrix], axis=-2))
@@ -340,10 +341,12 @@ def simplify(parts: Parts) -> Parts:
     return center, generators, matrix, system[..., -1]
 
 
-def _without_slack_rows(generators: Array, matrix: Array, offset: Array) -> tuple[Array, Array]:
+def _without_slack_rows(
+    generators: FloatArray, matrix: FloatArray, offset: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Rows set to 0 whose own factor (no generator, in no other row) can take up all that the others do."""
     size = np.abs(matrix)
-    own: Mask = ~generators.any(axis=-2) & ((matrix != 0).sum(axis=-2) == 1)
+    own: BoolArray = ~generators.any(axis=-2) & ((matrix != 0).sum(axis=-2) == 1)
     slack = np.where(own[..., None, :], size, 0.0).max(axis=-1, initial=0.0)
     total = size.sum(axis=-1) - slack + np.abs(offset)
     idle = np.asarray((slack > 0) & (total <= slack))

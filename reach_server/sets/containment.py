@@ -5,8 +5,8 @@ import math
 import numpy as np
 from scipy.optimize import linprog
 
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.intervals import EPS
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import BoolArray, FloatArray
 
 #: By how much, relative to the outer set's reach, a set may stick out and still count as contained.
 SLACK = 1e-9
@@ -14,7 +14,7 @@ SLACK = 1e-9
 PROGRAM_SLACK = 1e-7
 
 
-def face_normals(generators: Array) -> Array:
+def face_normals(generators: FloatArray) -> FloatArray:
     """Directions (..., K, n) across faces of zonotopes: the axes, and in the plane those across every generator, too.
 
     Up to the plane they and their opposites decide: between two neighbours the support function is linear.
@@ -26,7 +26,9 @@ def face_normals(generators: Array) -> Array:
     return np.concatenate([axes, np.stack([-generators[..., 1, :], generators[..., 0, :]], axis=-1)], axis=-2)
 
 
-def zonotope_contains(center: Array, generators: Array, inner_center: Array, inner_generators: Array) -> Mask:
+def zonotope_contains(
+    center: FloatArray, generators: FloatArray, inner_center: FloatArray, inner_generators: FloatArray
+) -> BoolArray:
     """True (...) where the second zonotope lies in the first, up to 1e-9 (linear programs: 1e-7) of the first's reach.
 
     True is certain. In one and two dimensions False is certain, too: the difference of the supports is convex between
@@ -54,8 +56,8 @@ def zonotope_contains(center: Array, generators: Array, inner_center: Array, inn
 
 
 def polytope_contains(
-    center: Array, generators: Array, normals: Array, heights: Array, size: Array, terms: int
-) -> Mask:
+    center: FloatArray, generators: FloatArray, normals: FloatArray, heights: FloatArray, size: FloatArray, terms: int
+) -> BoolArray:
     """True (...) where ``heights`` (..., K) of another set over ``normals`` (..., K, n), which decide, do not exceed
     those of the zonotope, up to 1e-9 of its reach and the rounding of ``terms`` terms of ``size`` (..., n), the other
     set's coordinates.
@@ -70,7 +72,7 @@ def polytope_contains(
     return np.asarray((heights <= limit).all(axis=-1))
 
 
-def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -> Mask:
+def _by_factors(outer: FloatArray, targets: FloatArray, rounding: FloatArray, possible: BoolArray) -> BoolArray:
     """True (...) where ``targets = outer @ Γ`` is solved with row sums of ``|Γ|`` at most 1, up to the ``rounding``
     (..., n) of the centers."""
     batch = possible.shape
@@ -100,7 +102,7 @@ def _by_factors(outer: Array, targets: Array, rounding: Array, possible: Mask) -
     return found.reshape(batch)
 
 
-def _least_row_sum(outer: Array, targets: Array) -> float:
+def _least_row_sum(outer: FloatArray, targets: FloatArray) -> float:
     """The least greatest row sum of ``|Γ|`` over ``outer @ Γ = targets``; inf where there is no Γ."""
     g, m = outer.shape[1], targets.shape[1]
     equations = np.kron(outer, np.eye(m))
@@ -117,7 +119,9 @@ def _least_row_sum(outer: Array, targets: Array) -> float:
     return float(solution.fun) if solution.status == 0 and solution.fun is not None else np.inf
 
 
-def certainly_disjoint(center: Array, generators: Array, other_center: Array, other_generators: Array) -> Mask:
+def certainly_disjoint(
+    center: FloatArray, generators: FloatArray, other_center: FloatArray, other_generators: FloatArray
+) -> BoolArray:
     """True (...) where a direction separates the two zonotopes by more than rounding: certain.
 
     In one and two dimensions the directions tried are all that matter (False says that the sets meet, up to rounding);
@@ -153,7 +157,7 @@ def certainly_disjoint(center: Array, generators: Array, other_center: Array, ot
     return result.reshape(batch)
 
 
-def _separates(directions: Array, shift: Array, generators: Array, rounding: Array) -> Mask:
+def _separates(directions: FloatArray, shift: FloatArray, generators: FloatArray, rounding: FloatArray) -> BoolArray:
     """True (..., K) where ``|d·shift|`` exceeds the reach of the generators and what the sums may have lost."""
     n, g = generators.shape[-2:]
     size = np.abs(directions)
@@ -163,7 +167,7 @@ def _separates(directions: Array, shift: Array, generators: Array, rounding: Arr
     return np.asarray(np.abs((directions @ shift[..., None])[..., 0]) > reach + margin)
 
 
-def _separating(shift: Array, generators: Array) -> Array:
+def _separating(shift: FloatArray, generators: FloatArray) -> FloatArray:
     """A direction (n,) of greatest ``d·shift - Σ|d·g|`` over ``|d_i| <= 1 / width_i``; zero where there is none."""
     n, g = generators.shape
     width = np.abs(generators).sum(axis=1) + np.abs(shift)

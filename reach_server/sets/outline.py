@@ -15,10 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.sets import planar, simplex, support
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.compiled import compiled, stacked
-from reach_server.sets.simplex import EMPTY, EPS, Ints, factorise, load, maximise
+from reach_server.numeric.jit import kernel, stacked
+from reach_server.numeric.types import BoolArray, FloatArray, IntArray
+from reach_server.sets import polygon as planar
+from reach_server.sets import support
+from reach_server.sets.kernels import simplex
+from reach_server.sets.kernels.simplex import EMPTY, EPS, factorise, load, maximise
 
 #: An outline is exact if no edge lies farther out than this, relative to the greatest extent of the set.
 EXACT = 1e-9
@@ -43,18 +45,24 @@ class Outline:
     ``exact`` (...): outer and inner edges are at most 1e-9 of the set's extent apart (and 1e-12 of the zonotope's).
     """
 
-    outer: Array
-    inner: Array
-    normals: Array
-    heights: Array
-    exact: Mask
-    empty: Mask
+    outer: FloatArray
+    inner: FloatArray
+    normals: FloatArray
+    heights: FloatArray
+    exact: BoolArray
+    empty: BoolArray
 
 
-@compiled
+@kernel
 def trace(
-    center: Array, generators: Array, matrix: Array, offset: Array, count: int, room: int, limit: int
-) -> tuple[Array, Array, Array, Ints, Array]:
+    center: FloatArray,
+    generators: FloatArray,
+    matrix: FloatArray,
+    offset: FloatArray,
+    count: int,
+    room: int,
+    limit: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
     """Outer and inner vertices (P, room, 2), half-planes (P, room, 3), their number (P) (-1: empty, -2: no room) and
     (P, 3): how far the edges were moved, the extent of the set and that of the zonotope. Batches as in
     ``simplex.supports``."""
@@ -215,7 +223,7 @@ def trace(
     return outer, inner, planes, numbers, sizes
 
 
-def outline(center: Array, generators: Array, matrix: Array, offset: Array) -> Outline:
+def outline(center: FloatArray, generators: FloatArray, matrix: FloatArray, offset: FloatArray) -> Outline:
     """Outlines of planar constrained zonotopes; where one is not found exactly, ``outer`` is the polygon of
     ``FALLBACK`` certified directions (still an outer bound, tagged by ``exact``)."""
     batch = np.broadcast_shapes(center.shape[:-1], generators.shape[:-2], matrix.shape[:-2], offset.shape[:-1])
@@ -260,6 +268,6 @@ def outline(center: Array, generators: Array, matrix: Array, offset: Array) -> O
     )
 
 
-def _widened(vertices: Array, width: int) -> Array:
+def _widened(vertices: FloatArray, width: int) -> FloatArray:
     missing = max(width - vertices.shape[1], 0)
     return np.concatenate([vertices, np.repeat(vertices[:, -1:], missing, axis=1)], axis=1)

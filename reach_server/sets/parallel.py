@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from reach_server.sets.arrays import Array
+from reach_server.numeric.types import FloatArray
 
 #: Entries of two parallel generators of the same length agree to this many ulps each.
 ULPS = 8 * float(np.finfo(np.float64).eps)
 
 
-def merge_parallel(generators: Array) -> Array:
+def merge_parallel(generators: FloatArray) -> FloatArray:
     """Generators (..., n, g) of the same zonotope with each set of parallel ones merged into its first; exact.
 
     Two are parallel if, scaled to the same length, every single entry agrees to 8 ulps; so merging changes no entry of
@@ -34,7 +34,7 @@ def merge_parallel(generators: Array) -> Array:
     return result
 
 
-def drop_zero(generators: Array) -> Array:
+def drop_zero(generators: FloatArray) -> FloatArray:
     """Generators (..., n, g') without zero columns: exact. A batch keeps as many as its largest set needs; the others
     have zero columns at the end."""
     full = (generators != 0).any(axis=-2)

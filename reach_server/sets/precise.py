@@ -2,21 +2,21 @@
 
 import numpy as np
 
-from reach_server.sets.arrays import Array
-from reach_server.sets.intervals import EPS
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import FloatArray
 
 #: Splits a number into two halves of 26 digits, whose products are exact.
 SPLITTER = 2.0**27 + 1.0
 
 
-def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+def two_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The rounded sum and what it lost."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
-def two_product(a: Array, b: Array) -> tuple[Array, Array]:
+def two_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The rounded product and what it lost; the numbers far from overflow."""
     product = a * b
     a_high, b_high = SPLITTER * a, SPLITTER * b
@@ -25,7 +25,7 @@ def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     return product, a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low)
 
 
-def remainder(offset: Array, matrix: Array, factors: Array) -> Array:
+def remainder(offset: FloatArray, matrix: FloatArray, factors: FloatArray) -> FloatArray:
     """``b - Aβ`` (..., c), summed in twice the precision: off by one ulp of itself [Hig02]; what lies below
     the rounding of that, 1e-29 of the terms, is zero."""
     g = matrix.shape[-1]
@@ -43,7 +43,7 @@ def remainder(offset: Array, matrix: Array, factors: Array) -> Array:
     return np.asarray(np.ldexp(np.where(np.abs(result) <= (g + 1) * EPS**2 * size, 0.0, result), exponent))
 
 
-def product(matrix: Array, columns: Array) -> Array:
+def product(matrix: FloatArray, columns: FloatArray) -> FloatArray:
     """``matrix @ columns`` (..., k, g) for (..., k, n) and (..., n, g), as ``remainder``: off by one ulp of each entry,
     zero where it cancels out."""
     entries = remainder(np.zeros(matrix.shape[-2]), -matrix[..., None, :, :], np.swapaxes(columns, -1, -2))

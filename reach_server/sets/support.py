@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reach_server.sets import simplex
-from reach_server.sets.arrays import Array, Mask
-from reach_server.sets.compiled import stacked
-from reach_server.sets.simplex import Ints
+from reach_server.numeric.jit import stacked
+from reach_server.numeric.types import BoolArray, FloatArray, IntArray
+from reach_server.sets.kernels import simplex
 
 #: Iterations of one linear program; a few dozen are used.
 ITERATIONS = 2000
@@ -23,8 +22,8 @@ class Certificate:
     On a set that is certainly empty the bound is -inf and the weights are those of ``EmptinessCertificate``.
     """
 
-    bound: Array
-    weights: Array
+    bound: FloatArray
+    weights: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,34 +33,39 @@ class EmptinessCertificate:
     A weight says how much its row takes part in the contradiction; one row more per cut, so it names the cut.
     """
 
-    empty: Mask
-    weights: Array
+    empty: BoolArray
+    weights: FloatArray
 
 
 class Solution(NamedTuple):
     """Linear programs solved: ``bound`` (..., K), ``weights`` (..., K, c), ``factors`` (..., K, g) of the points that
-    attain it, ``ray`` (..., c) and ``status`` (..., K) as in ``reach_server.sets.simplex``."""
+    attain it, ``ray`` (..., c) and ``status`` (..., K) as in ``reach_server.sets.kernels.simplex``."""
 
-    bound: Array
-    weights: Array
-    factors: Array
-    ray: Array
-    status: Ints
+    bound: FloatArray
+    weights: FloatArray
+    factors: FloatArray
+    ray: FloatArray
+    status: IntArray
 
     @property
-    def empty(self) -> Mask:
+    def empty(self) -> BoolArray:
         """True (..., K) where the set is certainly empty."""
         return np.asarray(self.status == simplex.EMPTY)
 
 
-def zonotope_support(center: Array, generators: Array, directions: Array) -> Array:
+def zonotope_support(center: FloatArray, generators: FloatArray, directions: FloatArray) -> FloatArray:
     """Greatest ``d·x`` over the zonotope for directions (..., K, n): exact, shape (..., K)."""
     projected = directions @ generators
     return np.asarray((directions @ center[..., None])[..., 0] + np.abs(projected).sum(axis=-1))
 
 
 def solve(
-    center: Array, generators: Array, matrix: Array, offset: Array, directions: Array, iterations: int = ITERATIONS
+    center: FloatArray,
+    generators: FloatArray,
+    matrix: FloatArray,
+    offset: FloatArray,
+    directions: FloatArray,
+    iterations: int = ITERATIONS,
 ) -> Solution:
     """Greatest ``d·x`` over constrained zonotopes for directions (..., K, n), with all that the solver found."""
     batch: tuple[int, ...] = ()
@@ -94,8 +98,13 @@ def solve(
 
 
 def constrained_support(
-    center: Array, generators: Array, matrix: Array, offset: Array, directions: Array, iterations: int = ITERATIONS
-) -> Array:
+    center: FloatArray,
+    generators: FloatArray,
+    matrix: FloatArray,
+    offset: FloatArray,
+    directions: FloatArray,
+    iterations: int = ITERATIONS,
+) -> FloatArray:
     """Upper bound of ``d·x`` over the constrained zonotope for directions (..., K, n): outer, shape (..., K).
 
     For every y, ``d·x = d·c + (Gᵀd - Aᵀy)·β + b·y <= d·c + b·y + |Gᵀd - Aᵀy|₁`` on the set, since
@@ -106,7 +115,7 @@ def constrained_support(
     return solve(center, generators, matrix, offset, directions, iterations).bound
 
 
-def feasible(matrix: Array, offset: Array, iterations: int = ITERATIONS) -> Solution:
+def feasible(matrix: FloatArray, offset: FloatArray, iterations: int = ITERATIONS) -> Solution:
     """Some vertex of ``{Aβ = b, |β| <= 1}``, or the proof that there is none: ``factors`` (..., 1, g), ``ray``."""
     g = matrix.shape[-1]
     # Costs in no special position to the rows: emptiness shows for any costs, most quickly for these.
@@ -114,13 +123,13 @@ def feasible(matrix: Array, offset: Array, iterations: int = ITERATIONS) -> Solu
     return solve(np.zeros(1), costs, matrix, offset, np.ones((1, 1)), iterations)
 
 
-def farkas(matrix: Array, offset: Array, iterations: int = ITERATIONS) -> EmptinessCertificate:
+def farkas(matrix: FloatArray, offset: FloatArray, iterations: int = ITERATIONS) -> EmptinessCertificate:
     """Where no ``|β| <= 1`` solves ``Aβ = b``, with the weights that prove it; see ``emptiness_certificate``."""
     found = feasible(matrix, offset, iterations)
     return EmptinessCertificate(found.empty[..., 0], found.ray)
 
 
-def emptiness_certificate(matrix: Array, offset: Array, iterations: int = ITERATIONS) -> Mask:
+def emptiness_certificate(matrix: FloatArray, offset: FloatArray, iterations: int = ITERATIONS) -> BoolArray:
     """True (...) where some y has ``b·y + |Aᵀy|₁ < 0``: no ``|β| <= 1`` solves ``Aβ = b`` (Farkas), so empty.
 
     One-sided: False says that no certificate was found, not that the set is inhabited. The certificate must exceed
@@ -129,7 +138,7 @@ def emptiness_certificate(matrix: Array, offset: Array, iterations: int = ITERAT
     return farkas(matrix, offset, iterations).empty
 
 
-def unit_rows(matrix: Array, offset: Array) -> tuple[Array, Array]:
+def unit_rows(matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``Aβ = b`` with each row divided by its greatest entry."""
     scale = np.abs(matrix).max(axis=-1, keepdims=True, initial=0.0)
     scale = np.where(scale > 0, scale, 1.0)

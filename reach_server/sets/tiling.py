@@ -5,7 +5,7 @@ from math import comb
 
 import numpy as np
 
-from reach_server.sets.arrays import Array
+from reach_server.numeric.types import FloatArray
 
 #: Choices of generators that are looked at; of more, this many are drawn at random.
 CHOICES = 20_000
@@ -20,7 +20,7 @@ def choices(g: int, k: int, rng: np.random.Generator) -> np.ndarray[tuple[int, i
     return np.sort(rng.random((CHOICES, g)).argsort(axis=1)[:, :k], axis=1)
 
 
-def inner_factors(generators: Array, rng: np.random.Generator, count: int) -> Array:
+def inner_factors(generators: FloatArray, rng: np.random.Generator, count: int) -> FloatArray:
     """Factors (P, count, g) of points of zonotopes with generators (P, n, g), uniform by volume.
 
     A zonotope is tiled by one parallelotope for each independent choice of n generators; the factors of the others
@@ -42,7 +42,7 @@ def inner_factors(generators: Array, rng: np.random.Generator, count: int) -> Ar
     return result
 
 
-def boundary_factors(generators: Array, rng: np.random.Generator, count: int) -> Array:
+def boundary_factors(generators: FloatArray, rng: np.random.Generator, count: int) -> FloatArray:
     """Factors (P, count, g) of points on the boundaries of zonotopes with generators (P, n, g); of flat sets, on the
     border within the flat.
 
@@ -65,14 +65,14 @@ def boundary_factors(generators: Array, rng: np.random.Generator, count: int) ->
     return result
 
 
-def any_factors(generators: Array, rng: np.random.Generator, count: int) -> Array:
+def any_factors(generators: FloatArray, rng: np.random.Generator, count: int) -> FloatArray:
     """Factors (P, count, g), independent of each other; in three points of ten all are at their bounds."""
     factors = rng.uniform(-1.0, 1.0, (len(generators), count, generators.shape[-1]))
     extreme = rng.random((len(generators), count, 1)) < 0.3
     return np.where(extreme, np.where(factors < 0, -1.0, 1.0), factors)
 
 
-def _by_rank(generators: Array) -> list[tuple[int, np.ndarray[tuple[int], np.dtype[np.intp]], Array]]:
+def _by_rank(generators: FloatArray) -> list[tuple[int, np.ndarray[tuple[int], np.dtype[np.intp]], FloatArray]]:
     """Sets grouped by their dimension: (rank, which, generators (P', rank, g) in coordinates of the flat)."""
     size = np.abs(generators).sum(axis=-1, keepdims=True)
     axes, lengths, _ = np.linalg.svd(generators / np.where(size > 0, size, 1.0), full_matrices=False)
@@ -88,17 +88,17 @@ def _by_rank(generators: Array) -> list[tuple[int, np.ndarray[tuple[int], np.dty
     return found
 
 
-def _of_size_one(generators: Array) -> Array:
+def _of_size_one(generators: FloatArray) -> FloatArray:
     return np.asarray(generators / np.abs(generators).max(axis=(-2, -1), keepdims=True))
 
 
-def _columns(flat: Array, chosen: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> Array:
+def _columns(flat: FloatArray, chosen: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> FloatArray:
     """Matrices (P, count, n, k) of the chosen columns (P, count, k)."""
     rows = np.arange(len(flat))[:, None, None]
     return np.asarray(np.moveaxis(np.swapaxes(flat, -1, -2)[rows, chosen], -1, -2))
 
 
-def _draw(weights: Array, rng: np.random.Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+def _draw(weights: FloatArray, rng: np.random.Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
     """Indices (P, count) drawn with probabilities proportional to the weights (P, S)."""
     total = weights.sum(axis=-1, keepdims=True)
     weights = np.where(total > 0, weights, 1.0)

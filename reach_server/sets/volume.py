@@ -4,16 +4,16 @@ from math import comb
 
 import numpy as np
 
-from reach_server.sets.arrays import Array
-from reach_server.sets.intervals import EPS
-from reach_server.sets.planar import zonotope_area, zonotope_volume
-from reach_server.sets.reduction import girard, pca
+from reach_server.numeric.intervals import EPS
+from reach_server.numeric.types import FloatArray
+from reach_server.sets.order_reduction import girard, pca
+from reach_server.sets.polygon import zonotope_area, zonotope_volume
 
 #: Determinants per set up to which the volume is computed exactly.
 EXACT = 2_000
 
 
-def volume_bracket(generators: Array) -> tuple[Array, Array]:
+def volume_bracket(generators: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(inner, outer) bounds (...) of the volume of zonotopes with generators (..., n, g).
 
     In the plane, and up to 2000 determinants, both are the exact volume, apart by 64 n² ulps of the interval hull's

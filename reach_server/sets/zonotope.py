@@ -7,22 +7,7 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach_server.sets import (
-    containment,
-    hulls,
-    intersections,
-    membership,
-    parallel,
-    planar,
-    reduction,
-    strips,
-    support,
-    tiling,
-    volume,
-)
-from reach_server.sets.arrays import (
-    Array,
-    Mask,
+from reach_server.numeric.checks import (
     SetError,
     batch_shape,
     block_diagonal,
@@ -34,8 +19,16 @@ from reach_server.sets.arrays import (
     checked_dimension,
     stack_columns,
 )
-from reach_server.sets.direction import Direction, compose
-from reach_server.sets.intervals import EPS, Interval, add_down, add_up, sum_up
+from reach_server.numeric.intervals import EPS, Interval, add_down, add_up, sum_up
+from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.sets import containment, parallel, support, tiling, volume
+from reach_server.sets import halfspace as strips
+from reach_server.sets import hull as hulls
+from reach_server.sets import intersection as intersections
+from reach_server.sets import order_reduction as reduction
+from reach_server.sets import polygon as planar
+from reach_server.sets.approximation import Direction, compose
+from reach_server.sets.kernels import membership
 
 SampleMethod = Literal["inside", "boundary", "factors"]
 
@@ -48,7 +41,7 @@ class ConvexSet(Protocol):
     def dimension(self) -> int:
         """The dimension n of the space."""
 
-    def support(self, d: ArrayLike) -> Array:
+    def support(self, d: ArrayLike) -> FloatArray:
         """An upper bound of ``d·x``."""
 
     def enclosing_zonotope(self) -> "Zonotope":
@@ -71,8 +64,8 @@ class Zonotope:
     also where their batch axes do not go with those of the set.
     """
 
-    center: Array
-    generators: Array
+    center: FloatArray
+    generators: FloatArray
     direction: Direction = Direction.EXACT
 
     def __post_init__(self) -> None:
@@ -232,14 +225,14 @@ class Zonotope:
         )
         return self._with(center, generators, Direction.OUTER, other.direction)
 
-    def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> Mask:
+    def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> BoolArray:
         """True (...) where no point of the set has ``|Hx - q| <= r``, for H (..., n), q and r (...): certain where
         True, by a relative margin of 1e-9."""
         normal = self._checked(H, "H", (self.dimension,))
         lower, upper = strips.bounds(q, r, self.batch)
         return np.asarray(strips.strip_bounds(self.center, self.generators, normal, lower, upper)[3])
 
-    def _cut(self, H: ArrayLike, lower: Array, upper: Array, method: strips.StripMethod) -> Self:
+    def _cut(self, H: ArrayLike, lower: FloatArray, upper: FloatArray, method: strips.StripMethod) -> Self:
         normal = self._checked(H, "H", (self.dimension,))
         center, generators, _ = strips.intersect_strip(
             self.center, self.generators, normal, lower, upper, method=strips.known(method)
@@ -260,7 +253,7 @@ class Zonotope:
         as many generators as its largest set needs."""
         return self._with(self.center, parallel.drop_zero(parallel.merge_parallel(self.generators)))
 
-    def support(self, d: ArrayLike) -> Array:
+    def support(self, d: ArrayLike) -> FloatArray:
         """Greatest ``d·x`` for directions ``d`` (..., K, n), shape (..., K): exact, rounded up by ``n + g + 2`` ulps
         of ``|d|·(|c| + |G|1)``."""
         directions = self._checked(d, "d", (None, self.dimension))
@@ -269,34 +262,34 @@ class Zonotope:
         terms = sum(self.generators.shape[-2:]) + 2
         return np.asarray(value + terms * EPS * (np.abs(directions) @ size[..., None])[..., 0])
 
-    def interval_hull(self) -> tuple[Array, Array]:
+    def interval_hull(self) -> tuple[FloatArray, FloatArray]:
         """Least box around the set, (lower (..., n), upper (..., n)): exact, rounded outwards by g ulps of its size."""
         half = sum_up(np.abs(self.generators))
         return add_down(self.center, -half), add_up(self.center, half)
 
-    def volume(self) -> Array:
+    def volume(self) -> FloatArray:
         """Volume (...): exact [GK10]. Beyond the plane every choice of n generators is looked at: for many generators
         ask ``volume_bracket``."""
         if self.dimension == 2:
             return np.broadcast_to(planar.zonotope_area(self.generators), self.batch)
         return np.broadcast_to(planar.zonotope_volume(self.generators), self.batch)
 
-    def volume_bracket(self) -> tuple[Array, Array]:
+    def volume_bracket(self) -> tuple[FloatArray, FloatArray]:
         """(inner, outer) bounds (...) of the volume, equal up to rounding where it is cheap (see ``volume``)."""
         inner, outer = volume.volume_bracket(self.generators)
         return np.broadcast_to(inner, self.batch), np.broadcast_to(outer, self.batch)
 
-    def area(self) -> Array:
+    def area(self) -> FloatArray:
         """Area (...) of planar sets: exact. Raises ``SetError`` in other dimensions."""
         self._planar("area")
         return self.volume()
 
-    def area_bracket(self) -> tuple[Array, Array]:
+    def area_bracket(self) -> tuple[FloatArray, FloatArray]:
         """(inner, outer) bounds (...) of the area of planar sets: the exact area, apart by rounding."""
         self._planar("area_bracket")
         return self.volume_bracket()
 
-    def polygon(self, count: int | None = None) -> Array:
+    def polygon(self, count: int | None = None) -> FloatArray:
         """Vertices (..., V, 2) of planar sets, counter-clockwise: exact, V = 2 g (1 without generators). With ``count``
         (at least 3): an outer polygon of that many vertices, tight in as many directions at equal angles. Raises
         ``SetError`` for a smaller count and in other dimensions."""
@@ -313,21 +306,21 @@ class Zonotope:
         """The set itself: exact."""
         return self
 
-    def contains_point(self, x: ArrayLike) -> Mask:
+    def contains_point(self, x: ArrayLike) -> BoolArray:
         """True (...) where the point ``x`` (..., n) lies in the set: exact up to 1e-7 of its size."""
         return self._reach(x)[0]
 
-    def factors_of(self, x: ArrayLike) -> Array:
+    def factors_of(self, x: ArrayLike) -> FloatArray:
         """Factors β (..., g) with ``c + Gβ = x`` and ``|β| <= 1`` for the point ``x`` (..., n): exact up to 1e-7 of the
         set's size; rows of NaN where the point is not in the set."""
         return self._reach(x)[1]
 
-    def _reach(self, x: ArrayLike) -> tuple[Mask, Array]:
+    def _reach(self, x: ArrayLike) -> tuple[BoolArray, FloatArray]:
         point = self._checked(x, "x", (self.dimension,))
         empty = np.zeros((0, self.generators.shape[-1]))
         return membership.reach(self.center, self.generators, empty, np.zeros(0), point)
 
-    def contains_set(self, other: ConvexSet) -> Mask:
+    def contains_set(self, other: ConvexSet) -> BoolArray:
         """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
 
         Up to the plane the support of ``other`` decides: where it is exact, False is certain, too. Beyond, a sufficient
@@ -349,7 +342,7 @@ class Zonotope:
             )
         return containment.zonotope_contains(self.center, self.generators, zonotope.center, zonotope.generators)
 
-    def intersects(self, other: "Zonotope") -> Mask:
+    def intersects(self, other: "Zonotope") -> BoolArray:
         """False (...) where the two sets are certainly disjoint (a separating direction was found); True otherwise.
 
         Exact up to rounding: in the plane by all directions that matter, beyond by a linear program.
@@ -357,11 +350,11 @@ class Zonotope:
         self._same_space(other, "intersects")
         return ~containment.certainly_disjoint(self.center, self.generators, other.center, other.generators)
 
-    def is_empty(self) -> Mask:
+    def is_empty(self) -> BoolArray:
         """False (...): exact, a zonotope always holds its center."""
         return np.zeros(self.batch, dtype=bool)
 
-    def sample(self, rng: np.random.Generator, count: int, how: SampleMethod = "inside") -> Array:
+    def sample(self, rng: np.random.Generator, count: int, how: SampleMethod = "inside") -> FloatArray:
         """Members (..., count, n), exact up to rounding.
 
         ``inside``: uniform by volume; ``boundary``: on the boundary, uniform by area in general position (both: see
@@ -378,14 +371,16 @@ class Zonotope:
         factors = draws[how](flat, rng, number).reshape(*batch, number, g)
         return np.asarray(self.center[..., None, :] + factors @ np.swapaxes(self.generators, -1, -2))
 
-    def _with(self, center: Array, generators: Array, *steps: Direction) -> Self:
+    def _with(self, center: FloatArray, generators: FloatArray, *steps: Direction) -> Self:
         """A set made from this one by operations, and with operands, of these directions."""
         return type(self)(center, generators, compose(self.direction, *steps))
 
-    def _checked(self, value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infinite: bool = False) -> Array:
+    def _checked(
+        self, value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infinite: bool = False
+    ) -> FloatArray:
         return checked_batch(checked(value, name, tail, infinite=infinite), len(tail), name, self.batch)
 
-    def _matrix(self, matrix: ArrayLike) -> Array:
+    def _matrix(self, matrix: ArrayLike) -> FloatArray:
         return checked_dimension(self._checked(matrix, "matrix", (None, self.dimension)), -2, "matrix")
 
     def _checked_batch_of(self, other: "Zonotope") -> None:
@@ -411,5 +406,5 @@ def _zonotope(other: object, verb: str) -> None:
         )
 
 
-def _strip(q: ArrayLike, r: ArrayLike) -> tuple[Array, Array]:
+def _strip(q: ArrayLike, r: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return strips.bounds(q, r, ())

@@ -10,15 +10,15 @@ from functools import reduce
 from operator import and_, or_
 from typing import Final
 
-from side_info.normal import Normal
 from side_info.progression.alternatives import Alternative, Tableau
-from side_info.progression.beliefs import DEAD, Beliefs
 from side_info.progression.discrete import Grid, Numbering, discrete
+from side_info.progression.disjunctions import DEAD, Beliefs
 from side_info.progression.expansion import Bools, Expander, Expansion, Ints
 from side_info.progression.nodes import FALSE, TRUE
 from side_info.progression.obligations import Obligations
 from side_info.progression.text import obligation_text
 from side_info.progression.weakening import Weakening
+from side_info.stl.nnf import Normal
 
 __all__ = ["DEAD", "FALSE", "TRUE", "Alternative", "Expansion", "Grid", "Table", "frontier"]
 

@@ -34,9 +34,9 @@ time zero because there is no sample before ``-lead`` or none that could be a wi
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from side_info.normal import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until
 from side_info.progression.nodes import FALSE, TRUE
 from side_info.progression.obligations import Obligations
+from side_info.stl.nnf import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until
 
 #: Predicate and margin (ns of motion) → number of the literal.
 Numbering = Callable[[int, int], int]

@@ -9,7 +9,7 @@ from importlib import resources
 from typing import Any, Final
 
 from fleet_bus.schemas import DIALECT
-from side_info.document import ScenarioFields
+from side_info.documents.document import ScenarioFields
 
 FILE: Final = "scenario.schema.json"
 

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.families import CUT_FAMILIES, Sets, cuts, random_rows, strip_cuts
 from benchmarks.peers import Program, linprog_support, zonoopt_set, zonoopt_settings
 from benchmarks.strips import exact_area
-from reach_server.sets.planar import clip, polygon_area
+from reach_server.sets.polygon import clip, polygon_area
 
 
 @pytest.mark.parametrize("sets", [random_rows(4, 12, 3), strip_cuts(4, 12, 3)], ids=lambda sets: sets.name)

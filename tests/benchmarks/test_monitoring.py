@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.monitoring import QUICK_STEP_NS, Monitor, Task, different, follow, tasks
-from side_info.normal import Conjunction, Finally, Globally, Literal, reach_ns
+from side_info.stl.nnf import Conjunction, Finally, Globally, Literal, reach_ns
 from tests.side_info.progression.readings import on_grid
 
 VEHICLES = 30

@@ -4,13 +4,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from benchmarks import fleets, updates
+from benchmarks import updates
 from benchmarks.published import noise_matrix_zonotope, tube
-from reach_server.printed import Printed
+from fleet_lab import fleets
+from fleet_lab.paper.algorithm_1 import Printed
 
-Floats = NDArray[np.float64]
 N, Q, SAMPLES, STEPS = 3, 2, 40, 3
 
 

@@ -96,7 +96,7 @@ class Started:
     def end(self) -> int:
         """Ask it to end; its exit code."""
         self.process.send_signal(signal.SIGTERM)
-        code = self.process.wait(30)
+        code = self.process.wait(LONG)
         self._reader.join(10)
         return code
 

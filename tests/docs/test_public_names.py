@@ -24,8 +24,8 @@ PAGE = DOCS / "reference" / "python.md"
 #: Packages whose ``__all__`` is public.
 FACADES = (
     "fleet_bus", "fleet_bus.messages", "reach_server", "reach_server.sets", "reach_server.predicates",
-    "reach_server.methods", "reach_server.calibrated", "side_info", "side_info.progression", "side_info.schemas",
-    "fleet_bus.schemas", "fleet_cli.evaluation", "fleet_cli.calibration", "vehicle_agent",
+    "reach_server.methods", "reach_server.models.conformal", "side_info", "side_info.progression", "side_info.schemas",
+    "fleet_bus.schemas", "fleet_lab.evaluation", "fleet_lab.identification", "vehicle_agent",
 )  # fmt: skip
 #: Further names that other programs rely on.
 PROMISED = ("fleet_bus.router.Router", "fleet_bus.errors.RecordingError", "fleet_bus.errors.ProfileError")
@@ -47,12 +47,12 @@ DUE = {
     "reach_server.sets.ConstrainedZonotope.rescale": ("SDB+16",),
     "reach_server.sets.ConstrainedZonotope.contains_set": ("ST19",),
     "reach_server.sets.Interval": ("Moo66",),
-    "reach_server.reservoir.Reservoir": ("Gon85",),
-    "reach_server.model.residual_set": ("AJS+22", "MN04"),
-    "reach_server.lti.fit": ("AKA+21",),
-    "reach_server.consistent.consistent_bounds": ("MN04", "Kel60"),
-    "reach_server.printed.Printed": ("AJS+22",),
-    "reach_server.calibrated.Calibrated": ("VGS05",),
+    "reach_server.data.reservoir.Reservoir": ("Gon85",),
+    "reach_server.models.residual_model.residual_set": ("AJS+22", "MN04"),
+    "reach_server.models.matrix_zonotope.fit": ("AKA+21",),
+    "reach_server.models.bound_estimation.consistent_bounds": ("MN04", "Kel60"),
+    "fleet_lab.paper.algorithm_1.Printed": ("AJS+22",),
+    "reach_server.models.conformal.ConformalPredictor": ("VGS05",),
     "reach_server.predicates.Literals": ("Alt10", "Moo66"),
     "side_info.progression.Table": ("BK00", "Wol85"),
     "side_info.Formula": ("MaN04",),

@@ -11,18 +11,18 @@ from typer.testing import CliRunner
 
 from fleet_bus.messages import Event, EventKind
 from fleet_cli.main import app
-from reach_server.tube import MOST_BRANCHES
-from reach_server.verdicts import verdict
+from reach_server.side_information.scenarios import MOST_BRANCHES
+from reach_server.side_information.verdict import verdict
 from side_info import Scenario, ScenarioError
-from side_info.declarations import FUNCTIONS, RESERVED
-from side_info.document import RegionFields, ScenarioFields, TimeFields
-from side_info.inequality import MAX_KINKS, MAX_WORK
-from side_info.lint import MANY_PREDICATES, lint
-from side_info.normal_form import MAX_PREDICATES, MAX_SIZE
-from side_info.parser import MAX_DEPTH, MAX_LENGTH
+from side_info.documents.document import RegionFields, ScenarioFields, TimeFields
+from side_info.documents.lint import MANY_PREDICATES, lint
+from side_info.documents.yaml_text import MAX_BYTES
 from side_info.progression import Table
-from side_info.windows import MAX_SECONDS
-from side_info.yaml_text import MAX_BYTES
+from side_info.stl.declarations import FUNCTIONS, RESERVED
+from side_info.stl.inequality import MAX_KINKS, MAX_WORK
+from side_info.stl.normal_form import MAX_PREDICATES, MAX_SIZE
+from side_info.stl.parser import MAX_DEPTH, MAX_LENGTH
+from side_info.stl.windows import MAX_SECONDS
 from tests.docs.test_docs import DOCS, blocks, page, section
 from tests.fleet_bus.messages.examples import a_tube
 

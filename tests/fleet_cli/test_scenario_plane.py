@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fleet_cli.scenario_plane import Floats, lay_out
+from fleet_cli.scenario_plane import lay_out
+from reach_server.numeric.types import FloatArray
 from side_info import Scenario
 
 DOCUMENT = """\
@@ -41,7 +42,7 @@ def shapes(region: str) -> Scenario:
         ("2 >= 1", lambda x, y: np.ones_like(x, dtype=bool)),
     ],
 )
-def test_a_region_is_where_it_holds(region: str, inside: Callable[[Floats, Floats], Floats]) -> None:
+def test_a_region_is_where_it_holds(region: str, inside: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
     plane, drawn, left_out = lay_out(shapes(region))
     assert plane is not None
     assert left_out == {}

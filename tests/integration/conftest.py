@@ -12,7 +12,7 @@ from typing import IO, Any
 import pytest
 
 from fleet_bus.router import Router
-from reach_server.server import ReachServer
+from reach_server.service.server import ReachServer
 from tests.waiting import DEADLINE
 
 ROOT = Path(__file__).resolve().parents[2]

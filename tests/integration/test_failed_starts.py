@@ -8,15 +8,15 @@ import pytest
 import zenoh
 
 import fleet_bus.router
-import reach_server.server
+import reach_server.service.server
 from fleet_bus import Role, open_session
 from fleet_bus.pubsub import Declared
 from fleet_bus.router import Router
 from fleet_cli.monitor import Monitor
-from reach_server.server import ReachServer
-from side_info.publications import Publications
-from side_info.scenario import Scenario
-from side_info.service import SideInfoService
+from reach_server.service.server import ReachServer
+from side_info.documents.scenario import Scenario
+from side_info.service.publications import Publications
+from side_info.service.service import SideInfoService
 from tests.waiting import wait_until
 from vehicle_agent import svea
 from vehicle_agent.agent import Agent
@@ -109,7 +109,7 @@ def test_a_reach_server_whose_last_step_fails(router: Router, faults: Faults, mo
         def info(self, *_: object, **__: object) -> None:
             raise InjectedError
 
-    monkeypatch.setattr(reach_server.server, "_log", Log())
+    monkeypatch.setattr(reach_server.service.server, "_log", Log())
     with pytest.raises(InjectedError), ReachServer("one", router.endpoints):
         pytest.fail("it began")
     assert faults.sessions

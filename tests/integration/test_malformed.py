@@ -13,8 +13,8 @@ from fleet_bus.messages import Assignment, Event, EventKind, ScenarioDocument, S
 from fleet_bus.messages.state import ENCODING
 from fleet_bus.pubsub import declare_cached_publisher, declare_recovering_subscriber
 from fleet_bus.router import Router
-from reach_server.server import ReachServer
-from side_info.scenario import Scenario
+from reach_server.service.server import ReachServer
+from side_info.documents.scenario import Scenario
 from tests.integration.conftest import serving
 from tests.waiting import wait_until
 from vehicle_agent import svea

@@ -7,7 +7,7 @@ import pytest
 from fleet_bus import Role, keys, open_session
 from fleet_bus.pubsub import Received, subscribe
 from fleet_bus.router import Router
-from reach_server.server import ReachServer
+from reach_server.service.server import ReachServer
 from tests.integration.conftest import Start, serving
 from tests.waiting import DEADLINE, wait_until
 

@@ -6,19 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
-from reach_server.factor_sets import FactorSet
-from reach_server.regression import Layout, transitions
+from reach_server.data.regressors import RegressorSpec, transitions
+from reach_server.data.window import Block, SampleBatch
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import support
-from reach_server.windows import Block, SampleBatch
+from reach_server.sets.raw import RawSets
 from vehicle_agent.simulate import Drive, simulate_history
 from vehicle_agent.svea import SveaParameters, increment, jacobian_bounds, step
 from vehicle_agent.svea import profile as svea_profile
 
-Floats = NDArray[np.float64]
-
 SVEA = SveaParameters()
 PROFILE = svea_profile(SVEA)
-LAYOUT = Layout.of(PROFILE)
+LAYOUT = RegressorSpec.of(PROFILE)
 START = 10**18
 
 
@@ -48,7 +47,7 @@ def samples_of(
     )
 
 
-def block_of(x: Floats, u: Floats, linked: NDArray[np.bool_] | None = None) -> Block:
+def block_of(x: FloatArray, u: FloatArray, linked: NDArray[np.bool_] | None = None) -> Block:
     """A block (1, S) of consecutive samples."""
     count = len(x)
     if linked is None:
@@ -58,19 +57,19 @@ def block_of(x: Floats, u: Floats, linked: NDArray[np.bool_] | None = None) -> B
     return Block(t, x[None], u[None], yes, yes, linked[None])
 
 
-def dynamics(xi: Floats) -> Floats:
+def dynamics(xi: FloatArray) -> FloatArray:
     """True body-frame increment (..., 4) of the SVEA at regressors (..., 7)."""
     return increment(SVEA, xi[..., 0], xi[..., 5], xi[..., 2])
 
 
-def noise(rng: np.random.Generator, generators: Floats, count: int) -> Floats:
+def noise(rng: np.random.Generator, generators: FloatArray, count: int) -> FloatArray:
     """Members (count, n) of a noise set, many of them at its corners."""
     factors = rng.uniform(-1, 1, (count, generators.shape[1]))
     factors = np.where(rng.random((count, 1)) < 0.5, np.sign(factors), factors)
     return np.asarray(factors @ generators.T)
 
 
-def inside(sets: FactorSet, row: int, points: Floats, rng: np.random.Generator, count: int = 60) -> NDArray[np.bool_]:
+def inside(sets: RawSets, row: int, points: FloatArray, rng: np.random.Generator, count: int = 60) -> NDArray[np.bool_]:
     """Which points (K, n) pass the support inequality of a set in axes and random directions; only members pass all."""
     n = sets.center.shape[1]
     d = np.concatenate([np.eye(n), -np.eye(n), rng.normal(size=(count, n))])
@@ -116,9 +115,9 @@ class World:
         assert self.profile.noise.measurement is not None
         self.process = self.profile.noise.process.matrix()
         self.measurement = self.profile.noise.measurement.matrix()
-        self.layout = Layout.of(self.profile)
+        self.layout = RegressorSpec.of(self.profile)
 
-    def f(self, xi: Floats) -> Floats:
+    def f(self, xi: FloatArray) -> FloatArray:
         """Noise-free next state (..., 2) at regressors (..., 4)."""
         x = xi[..., :2]
         return np.asarray(x @ self.A.T + 0.05 * np.sin(2 * x) + xi[..., [2]] * self.B0 + xi[..., [3]] * self.B1)
@@ -134,7 +133,7 @@ class World:
         return Drive(x, x + noise(rng, self.measurement, samples), u)
 
 
-def svea_transitions(drive: Drive) -> tuple[Floats, Floats, Floats]:
+def svea_transitions(drive: Drive) -> tuple[FloatArray, FloatArray, FloatArray]:
     """True regressors (T, 7), measured ones (T, 7) and measured targets (T, 4) of the usable transitions."""
     data = transitions(block_of(drive.measured, drive.inputs), LAYOUT)
     true = transitions(block_of(drive.truth, drive.inputs), LAYOUT)
@@ -143,6 +142,6 @@ def svea_transitions(drive: Drive) -> tuple[Floats, Floats, Floats]:
 
 
 __all__ = [
-    "LAYOUT", "PROFILE", "START", "SVEA", "Floats", "World", "block_of", "dynamics", "history", "inside",
+    "LAYOUT", "PROFILE", "START", "SVEA", "FloatArray", "World", "block_of", "dynamics", "history", "inside",
     "jacobian_bounds", "noise", "samples_of", "step", "svea_transitions",
 ]  # fmt: skip

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from numpy.typing import NDArray
 
 from fleet_bus import keys
 from fleet_bus.messages import (
@@ -23,11 +22,10 @@ from fleet_bus.messages import (
 from fleet_bus.messages.ranges import Range
 from fleet_bus.messages.state import ENCODING
 from fleet_bus.pubsub import Received
+from reach_server.numeric.types import FloatArray
 from side_info import Scenario
-from side_info.scenario import shipped
+from side_info.documents.scenario import shipped
 from tests.reach_server.drives import START, SVEA, history
-
-Floats = NDArray[np.float64]
 
 #: Ids that hostile traffic uses: few, so that what one message leaves behind meets the next one. The steady ones mostly
 #: send what follows from what they sent before, so that models are made of it.
@@ -107,7 +105,7 @@ class Hostile:
         value = 10.0 ** self._rng.uniform(-12, 30 if kind == 2 else 2) * self._one_of([1.0, -1.0])
         return float(np.clip(value, low, high))
 
-    def _numbers(self, span: Range, *shape: int) -> Floats:
+    def _numbers(self, span: Range, *shape: int) -> FloatArray:
         return np.array([self._number(span) for _ in range(int(np.prod(shape)))]).reshape(shape)
 
     def _session(self, own: str) -> str:

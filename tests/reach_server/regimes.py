@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fleet_bus.messages import VehicleProfile, parse_profile
-from reach_server.engine import Engine
-from reach_server.results import Tubes
-from reach_server.windows import Floats, SampleBatch
+from reach_server.data.window import SampleBatch
+from reach_server.engine.engine import Engine
+from reach_server.engine.results import Tubes
+from reach_server.numeric.types import FloatArray
 
 DT, WINDOW, NOVEL, TOTAL = 0.05, 300, 420, 880
 #: Half-widths of process and measurement noise of x, y, yaw, v; the linear vehicle has no yaw.
@@ -60,9 +61,9 @@ def profile(*, linear: bool, limited: bool) -> VehicleProfile:
 class Drive:
     """True and measured states (T, n), inputs (T, 2): steering, throttle."""
 
-    true: Floats
-    measured: Floats
-    u: Floats
+    true: FloatArray
+    measured: FloatArray
+    u: FloatArray
 
 
 def drive(regime: str, *, linear: bool, seed: int = 0) -> Drive:

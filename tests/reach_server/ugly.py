@@ -7,16 +7,15 @@ from itertools import product
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from shapely import MultiPoint
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
 from tests.examples import examples
 
-Floats = NDArray[np.float64]
 #: ``lower <= normal·x <= upper``
-Strip = tuple[Floats, float, float]
+Strip = tuple[FloatArray, float, float]
 
 #: What linear programs and sums of a few terms leave, relative to the size of a set.
 ROUNDING = 1e-6
@@ -29,10 +28,10 @@ class Raw:
     """``{c + Gβ : Aβ = b, |β| <= 1}`` as plain arrays; ``inhabited`` by construction or not."""
 
     name: str
-    c: Floats
-    G: Floats
-    A: Floats
-    b: Floats
+    c: FloatArray
+    G: FloatArray
+    A: FloatArray
+    b: FloatArray
     inhabited: bool = True
 
     @property
@@ -82,7 +81,7 @@ ZONOTOPES: tuple[Raw, ...] = (
 )
 
 
-def _rows(base: Raw, name: str, A: Floats, b: Floats, *, inhabited: bool = True) -> Raw:
+def _rows(base: Raw, name: str, A: FloatArray, b: FloatArray, *, inhabited: bool = True) -> Raw:
     return Raw(f"{base.name}, {name}", base.c, base.G, A, b, inhabited)
 
 
@@ -133,7 +132,7 @@ def of(zonotope: Zonotope | ConstrainedZonotope) -> Raw:
     return Raw("", zonotope.center, zonotope.generators, zonotope.constraint_matrix, zonotope.constraint_offset)
 
 
-def factor_corners(g: int, limit: int = 256) -> Floats:
+def factor_corners(g: int, limit: int = 256) -> FloatArray:
     """All corners (2^g, g) of the factor box, or ``limit`` of them."""
     if not g:
         return np.zeros((1, 0))
@@ -142,18 +141,18 @@ def factor_corners(g: int, limit: int = 256) -> Floats:
     return np.sign(np.random.default_rng(g).uniform(-1, 1, (limit, g)))
 
 
-def corners(case: Raw) -> Floats:
+def corners(case: Raw) -> FloatArray:
     """Images (K, n) of the corners of the factor box; their convex hull is the zonotope."""
     return np.asarray(case.c + factor_corners(case.G.shape[1]) @ case.G.T)
 
 
-def directions(n: int, count: int = 12, seed: int = 0) -> Floats:
+def directions(n: int, count: int = 12, seed: int = 0) -> FloatArray:
     """Both ways along the axes, and random directions."""
     random = np.random.default_rng(seed).normal(size=(count, n))
     return np.concatenate([np.eye(n), -np.eye(n), random])
 
 
-def extreme(case: Raw, direction: Floats, strips: Sequence[Strip] = ()) -> tuple[float, Floats] | None:
+def extreme(case: Raw, direction: FloatArray, strips: Sequence[Strip] = ()) -> tuple[float, FloatArray] | None:
     """Greatest ``direction·x`` over the set (cut by strips) and where it is taken; None if the set is empty."""
     g = case.G.shape[1]
     if not g:
@@ -184,7 +183,7 @@ def extreme(case: Raw, direction: Floats, strips: Sequence[Strip] = ()) -> tuple
     return float(direction @ point), point
 
 
-def gap(case: Raw, point: Floats, source: Raw | None = None) -> float:
+def gap(case: Raw, point: FloatArray, source: Raw | None = None) -> float:
     """How far a point is from the set, relative to its size (or that of the larger set that it was made from): 0
     inside; a linear program that is always feasible."""
     stacked = np.concatenate([case.G, case.A])
@@ -212,20 +211,20 @@ def gap(case: Raw, point: Floats, source: Raw | None = None) -> float:
     return float(found.fun)
 
 
-def assert_holds(outer: Raw, points: Floats, source: Raw | None = None) -> None:
+def assert_holds(outer: Raw, points: FloatArray, source: Raw | None = None) -> None:
     """Every point (K, n) lies in the set, up to the rounding of the set that it was made from."""
     for point in np.unique(points, axis=0):
         assert gap(outer, point, source) <= ROUNDING
 
 
-def assert_outlines(vertices: Floats, points: Floats, size: float) -> None:
+def assert_outlines(vertices: FloatArray, points: FloatArray, size: float) -> None:
     """The convex hull of the vertices (V, 2) holds every point (K, 2)."""
     origin = points.mean(axis=0)
     hull = MultiPoint((vertices - origin) / size).convex_hull
     assert hull.buffer(ROUNDING).covers(MultiPoint((points - origin) / size))
 
 
-def members(case: Raw, count: int = 6, strips: Sequence[Strip] = (), seed: int = 0) -> Floats:
+def members(case: Raw, count: int = 6, strips: Sequence[Strip] = (), seed: int = 0) -> FloatArray:
     """Extreme points (K, n) of the set (cut by strips) and mixtures of them; none if it is empty."""
     found = [extreme(case, d, strips) for d in directions(case.n, count, seed)]
     points = np.array([f[1] for f in found if f is not None]).reshape(-1, case.n)
@@ -264,7 +263,7 @@ def random_sets(draw: st.DrawFn, n: int | None = None, rows: int = 3) -> Raw:
     g = draw(st.integers(0, 6))
     scale = draw(st.sampled_from([1e-9, 1.0, 1e9]))
 
-    def array(*shape: int) -> Floats:
+    def array(*shape: int) -> FloatArray:
         count = int(np.prod(shape))
         return np.array(draw(st.lists(_ENTRIES, min_size=count, max_size=count)), dtype=np.float64).reshape(shape)
 

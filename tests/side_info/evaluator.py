@@ -21,8 +21,8 @@ from side_info import (
     Predicate,
     Until,
 )
-from side_info.normal import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal
-from side_info.normal import Until as NormalUntil
+from side_info.stl.nnf import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal
+from side_info.stl.nnf import Until as NormalUntil
 
 State = Mapping[str, float]
 

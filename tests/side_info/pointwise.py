@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from side_info import expression as e
-from side_info import normal as n
-from side_info.predicates import DiscPredicate, LinearPredicate, Predicate
+from side_info.stl import expression as e
+from side_info.stl import nnf as n
+from side_info.stl.predicates import DiscPredicate, LinearPredicate, Predicate
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -11,8 +11,8 @@ import pytest
 from fleet_bus.schemas import DIALECT
 from side_info import Scenario
 from side_info import shipped as scenarios
+from side_info.documents.yaml_text import read_yaml
 from side_info.schemas import generate, shipped
-from side_info.yaml_text import read_yaml
 from tests.side_info.corpus import DOCUMENT
 
 SCHEMA = json.loads(shipped())

@@ -5,34 +5,33 @@ from collections.abc import Mapping
 import numpy as np
 from shapely import Polygon
 
+from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates import Context, Strips
-from reach_server.sets import planar
-from reach_server.sets.arrays import Mask
-from tests.reach_server.predicates.expressions import Floats
+from reach_server.sets import polygon as planar
 
 
-def context(rows: int, n: int, **given: Floats | float) -> Context:
+def context(rows: int, n: int, **given: FloatArray | float) -> Context:
     """A context of zeros but for what is given."""
-    fields: Mapping[str, Floats | float] = {
+    fields: Mapping[str, FloatArray | float] = {
         "t": np.zeros(rows), "k": np.zeros(rows), "last_t": np.zeros(rows), "last_lower": np.zeros((rows, n)),
         "last_upper": np.zeros((rows, n)), "t_slack": 0.0, **given,
     }  # fmt: skip
     return Context(**fields)  # type: ignore[arg-type]
 
 
-def factors(rng: np.random.Generator, *shape: int) -> Floats:
+def factors(rng: np.random.Generator, *shape: int) -> FloatArray:
     """Numbers in [-1, 1], many of them at the ends."""
     inside = rng.uniform(-1, 1, shape)
     return np.where(rng.random(shape) < 0.4, np.sign(inside), inside)
 
 
-def members(rng: np.random.Generator, center: Floats, generators: Floats, count: int) -> Floats:
+def members(rng: np.random.Generator, center: FloatArray, generators: FloatArray, count: int) -> FloatArray:
     """Points (R, count, n) of zonotopes."""
     rows, _, g = generators.shape
     return np.asarray(center[:, None] + factors(rng, rows, count, g) @ np.swapaxes(generators, 1, 2))
 
 
-def kept(strips: Strips, points: Floats) -> Mask:
+def kept(strips: Strips, points: FloatArray) -> BoolArray:
     """Which points (R, K, n) obey all strips, up to rounding."""
     rows = len(points)
     normal = np.broadcast_to(strips.normal, (rows, *strips.normal.shape[-2:]))
@@ -44,7 +43,7 @@ def kept(strips: Strips, points: Floats) -> Mask:
     return np.asarray(((lower - slack <= height) & (height <= upper + slack)).all(axis=2))
 
 
-def cut_polygon(center: Floats, generators: Floats, strips: Strips) -> Polygon:
+def cut_polygon(center: FloatArray, generators: FloatArray, strips: Strips) -> Polygon:
     """A planar zonotope cut by strips, exactly."""
     polygon = Polygon(planar.zonotope_polygon(center, generators))
     far = 1e3

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
-from side_info.expression import (
+from reach_server.numeric.types import FloatArray
+from side_info.stl.expression import (
     Call,
     Expression,
     Last,
@@ -22,9 +22,7 @@ from side_info.expression import (
     Time,
 )
 
-Floats = NDArray[np.float64]
-
-_FUNCTIONS: Mapping[str, Callable[..., Floats]] = {
+_FUNCTIONS: Mapping[str, Callable[..., FloatArray]] = {
     "abs": np.abs, "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos, "tan": np.tan,
     # The real zero has no sign.
     "atan2": lambda y, x: np.arctan2(y + 0.0, x + 0.0),
@@ -35,11 +33,15 @@ _FUNCTIONS: Mapping[str, Callable[..., Floats]] = {
 
 
 def evaluate(
-    expression: Expression, states: Mapping[str, Floats], last: Mapping[str, Floats], t: Floats, k: Floats
-) -> Floats:
+    expression: Expression,
+    states: Mapping[str, FloatArray],
+    last: Mapping[str, FloatArray],
+    t: FloatArray,
+    k: FloatArray,
+) -> FloatArray:
     """Values at points; NaN or infinite where the expression is not defined."""
 
-    def of(part: Expression) -> Floats:
+    def of(part: Expression) -> FloatArray:
         match part:
             case Number(value):
                 return np.asarray(value)

@@ -5,13 +5,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from reach_server.predicates.cuts import HOLDS, MAY_HOLD, NEVER
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates.fixed_status import fixed_status
-from reach_server.sets.arrays import Array
+from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER
 
 
-def exact_range(normal: Array, center: Array, generators: Array) -> tuple[Fraction, Fraction]:
-    def form(vector: Array) -> Fraction:
+def exact_range(normal: FloatArray, center: FloatArray, generators: FloatArray) -> tuple[Fraction, Fraction]:
+    def form(vector: FloatArray) -> Fraction:
         return sum((Fraction(a) * Fraction(b) for a, b in zip(normal, vector, strict=True)), Fraction(0))
 
     middle, reach = form(center), sum((abs(form(g)) for g in generators.T), Fraction(0))

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import Point, Polygon
 
+from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates import DISC_TANGENTS, Literals, tangents
-from reach_server.sets import Zonotope, planar
-from reach_server.sets.arrays import Mask
+from reach_server.sets import Zonotope
+from reach_server.sets import polygon as planar
 from side_info import DiscPredicate, LinearPredicate, ScenarioError
-from side_info.expression import Name, Negation, Number, Power, Sum, Time
-from side_info.predicates import NonlinearPredicate, Predicate
+from side_info.stl.expression import Name, Negation, Number, Power, Sum, Time
+from side_info.stl.predicates import NonlinearPredicate, Predicate
 from tests.reach_server import ugly
 from tests.reach_server.predicates.asking import context, cut_polygon, factors, kept, members
-from tests.reach_server.predicates.expressions import Floats
 from tests.reach_server.ugly import Raw, moderate
 
 INDEX = {"x": 1, "y": 2}
@@ -24,11 +24,11 @@ HALF = LinearPredicate("half", {"x": -0.5}, -np.inf, 2.0)
 DISC = DiscPredicate("ring", {"x": 0.3, "y": -2.0}, 1.4)
 
 
-def literal(literals: Literals, predicate: Predicate, speed: Floats | float = 0.0, margin_ns: int = 0) -> int:
+def literal(literals: Literals, predicate: Predicate, speed: FloatArray | float = 0.0, margin_ns: int = 0) -> int:
     return literals.add(predicate, INDEX, scenario="s", name=predicate.name, speed=speed, margin_ns=margin_ns)
 
 
-def holds(predicate: Predicate, points: Floats) -> Mask:
+def holds(predicate: Predicate, points: FloatArray) -> BoolArray:
     """Whether predicates hold at points (..., n)."""
     if isinstance(predicate, LinearPredicate):
         height = sum(c * points[..., INDEX[name]] for name, c in predicate.coefficients.items())

@@ -9,10 +9,11 @@ import pytest
 import shapely
 from shapely import Polygon
 
+from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Context, Literals
 from reach_server.predicates.nonlinear import contracted
-from reach_server.sets import planar
-from side_info.expression import (
+from reach_server.sets import polygon as planar
+from side_info.stl.expression import (
     Call,
     Expression,
     Last,
@@ -26,9 +27,9 @@ from side_info.expression import (
     Sum,
     Time,
 )
-from side_info.predicates import DiscPredicate, NonlinearPredicate
+from side_info.stl.predicates import DiscPredicate, NonlinearPredicate
 from tests.reach_server.predicates.asking import context, cut_polygon, factors, kept, members, row
-from tests.reach_server.predicates.expressions import Floats, evaluate, number, random_expression
+from tests.reach_server.predicates.expressions import evaluate, number, random_expression
 
 X, Y = Name("x"), Name("y")
 XY = {"x": 0, "y": 1}
@@ -52,7 +53,7 @@ EXPONENTIAL = less(TWO, Call("exp", (X,)), squared(Y))
 OUTSIDE = less(Sum((squared(X), squared(Y))), ONE)
 
 
-def added(literals: Literals, expression: Expression, speed: Floats | float = 0.0, margin: float = 0.0) -> int:
+def added(literals: Literals, expression: Expression, speed: FloatArray | float = 0.0, margin: float = 0.0) -> int:
     predicate = NonlinearPredicate("p", expression)
     return literals.add(predicate, XY, scenario="s", name="p", speed=speed, margin_ns=round(margin * 1e9))
 
@@ -60,11 +61,11 @@ def added(literals: Literals, expression: Expression, speed: Floats | float = 0.
 def height(
     expression: Expression,
     index: Mapping[str, int],
-    past: Mapping[str, Floats],
-    steps: Floats,
-    states: Floats,
-    time: Floats,
-) -> Floats:
+    past: Mapping[str, FloatArray],
+    steps: FloatArray,
+    states: FloatArray,
+    time: FloatArray,
+) -> FloatArray:
     """The left side of a predicate at states (R, K, n) and times (R, K) or (R, 1)."""
     values = evaluate(expression, {name: states[..., i] for name, i in index.items()}, past, time, steps)
     return np.broadcast_to(values, steps.shape)
@@ -119,7 +120,7 @@ def test_no_state_that_may_satisfy_is_cut_and_no_status_is_wrong(seed: int) -> N
     assert removed > 0.7 * unsatisfied
 
 
-def area_of(h: Callable[[Floats, Floats], Floats], polygon: Polygon) -> float:
+def area_of(h: Callable[[FloatArray, FloatArray], FloatArray], polygon: Polygon) -> float:
     left, low, right, high = polygon.bounds
     x, y = np.meshgrid(np.linspace(left, right, 801), np.linspace(low, high, 801))
     inside = shapely.contains_xy(polygon, x.ravel(), y.ravel()) & (h(x, y).ravel() >= 0)
@@ -141,7 +142,7 @@ CENTER, GENERATORS = np.array([[0.3, 0.2]]), np.array([[[1.5, 0.3, -0.4], [0.2, 
     ],
 )
 def test_concave_predicates_are_cut_to_their_area_and_little_more(
-    expression: Expression, h: Callable[[Floats, Floats], Floats], fixed: bool, most: float
+    expression: Expression, h: Callable[[FloatArray, FloatArray], FloatArray], fixed: bool, most: float
 ) -> None:
     literals = Literals(2, (0, 1), np.zeros((2, 0)))
     one = added(literals, expression)

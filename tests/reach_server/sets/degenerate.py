@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
-from reach_server.sets.arrays import Array
 
 AnySet = Zonotope | ConstrainedZonotope
 KINDS: tuple[type[AnySet], ...] = (Zonotope, ConstrainedZonotope)
@@ -24,7 +24,7 @@ def generators(count: int, *salt: int, share: int = 1) -> Iterator[np.random.Gen
         yield np.random.default_rng([SEED, example, *salt])
 
 
-def numbers(rng: np.random.Generator, *shape: int) -> Array:
+def numbers(rng: np.random.Generator, *shape: int) -> FloatArray:
     """Numbers with few digits, so that sums are exact and things touch, or with all digits; some are zero."""
     if rng.random() < 0.6:
         return rng.integers(-4, 5, shape) / 2.0
@@ -53,7 +53,7 @@ def zonotope(rng: np.random.Generator, n: int, most: int = 3) -> Zonotope:
     return Zonotope(center, scale * G)
 
 
-def rows(rng: np.random.Generator, g: int) -> tuple[Array, Array]:
+def rows(rng: np.random.Generator, g: int) -> tuple[FloatArray, FloatArray]:
     """Constraints of one of the kinds in which rounding shows."""
     count = int(rng.integers(1, 3))
     A = numbers(rng, count, g)
@@ -99,7 +99,7 @@ def constrained(rng: np.random.Generator, n: int, most: int = 3) -> ConstrainedZ
     return ConstrainedZonotope(plain.center, plain.generators, *rows(rng, plain.generators.shape[-1]))
 
 
-def member(one: Zonotope | ConstrainedZonotope, rng: np.random.Generator) -> Array:
+def member(one: Zonotope | ConstrainedZonotope, rng: np.random.Generator) -> FloatArray:
     """A point of the zonotope, on its border as often as not, up to rounding."""
     g = one.generators.shape[-1]
     factors = np.sign(rng.normal(size=g)) if rng.random() < 0.5 else rng.uniform(-1, 1, g)
@@ -132,13 +132,13 @@ def partner(kind: type[AnySet], rng: np.random.Generator, one: AnySet, n: int | 
     return other.translate(member(one, rng) - member(other, rng))
 
 
-def matrix_for(rng: np.random.Generator, one: AnySet) -> Array:
+def matrix_for(rng: np.random.Generator, one: AnySet) -> FloatArray:
     k = int(rng.integers(1, 4))
     M = numbers(rng, k, one.dimension)
     return np.zeros_like(M) if rng.random() < 0.1 else M
 
 
-def normal_and_heights(rng: np.random.Generator, one: AnySet) -> tuple[Array, float, float]:
+def normal_and_heights(rng: np.random.Generator, one: AnySet) -> tuple[FloatArray, float, float]:
     """A normal, a height of the set along it or beside it, and its reach."""
     H = numbers(rng, one.dimension) * 10.0 ** rng.choice([0, 0, -6, 6])
     if rng.random() < 0.1:

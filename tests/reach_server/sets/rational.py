@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
-from reach_server.sets.arrays import Array
 
 #: Arrays of ``Fraction`` (or, inside the solver, of ``int``).
 Exact = NDArray[Any]
@@ -153,7 +153,7 @@ def body(c: Any, G: Any, A: Any = None, b: Any = None) -> Body:
 def body_of(one: Zonotope | ConstrainedZonotope, place: tuple[int, ...] = ()) -> Body:
     """One set of a batch."""
 
-    def entry(array: Array, own: int) -> Array:
+    def entry(array: FloatArray, own: int) -> FloatArray:
         return np.asarray(np.broadcast_to(array, one.batch + array.shape[array.ndim - own :])[place])
 
     c, G = entry(one.center, 1), entry(one.generators, 2)

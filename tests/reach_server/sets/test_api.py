@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from shapely import Polygon
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope
-from tests.reach_server.ugly import Floats, Raw, assert_holds, directions, extreme, of
+from tests.reach_server.ugly import Raw, assert_holds, directions, extreme, of
 
 AnySet = Zonotope | ConstrainedZonotope
 EXACT, OUTER, INNER = Direction.EXACT, Direction.OUTER, Direction.INNER
@@ -30,7 +31,7 @@ N, G, ROWS = 2, 6, 2
 class Each:
     """An argument with one entry per set: the batch axes come first."""
 
-    array: Floats
+    array: FloatArray
 
 
 def draw(seed: int, *tail: int) -> Each:
@@ -186,7 +187,7 @@ def at(value: Any, place: Any) -> Any:
     return value
 
 
-def arrays(case: Raw) -> tuple[Floats, ...]:
+def arrays(case: Raw) -> tuple[FloatArray, ...]:
     return case.c, case.G, case.A, case.b
 
 
@@ -241,7 +242,7 @@ def parts_of(result: Any) -> list[Any]:
     return list(result) if isinstance(result, tuple) else [result]
 
 
-def corners_of(polygon: Floats) -> Polygon:
+def corners_of(polygon: FloatArray) -> Polygon:
     return Polygon(polygon[np.isfinite(polygon).all(axis=-1)]).buffer(0)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope, constraint_reduction
-from reach_server.sets.reduction import ReductionMethod
+from reach_server.sets.order_reduction import ReductionMethod
 from tests.reach_server.ugly import (
     EMPTY,
     INHABITED,

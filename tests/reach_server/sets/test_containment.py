@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from shapely import MultiPoint
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, SetError, Zonotope
-from tests.reach_server.ugly import ZONOTOPES, Floats, Raw, corners, gap, moderate, named, random_sets
+from tests.reach_server.ugly import ZONOTOPES, Raw, corners, gap, moderate, named, random_sets
 
 every = pytest.mark.parametrize("case", ZONOTOPES, ids=named)
 
@@ -139,7 +140,7 @@ def test_sets_that_touch_are_not_called_disjoint(case: Raw) -> None:
 def test_a_batch_gives_what_its_members_give(n: int, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(4)
 
-    def sets(size: float, g: int) -> tuple[Floats, Floats]:
+    def sets(size: float, g: int) -> tuple[FloatArray, FloatArray]:
         return size * rng.normal(size=(*shape, n)), size * rng.normal(size=(*shape, n, g))
 
     (c, G), (c2, G2) = sets(1.0, 6), sets(0.3, 3)

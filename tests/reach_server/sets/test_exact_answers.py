@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, QhullError
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
-from reach_server.sets.arrays import Array
 from reach_server.sets.zonotope import SampleMethod
 from tests.reach_server.sets import rational
 from tests.reach_server.sets.degenerate import KINDS, AnySet, draw, generators, member, numbers, partner, small
@@ -242,7 +242,7 @@ def _samples(kind: type[AnySet], rng: np.random.Generator) -> bool:
     one = draw(kind, rng)
     truth = body_of(one)
     for how in get_args(SampleMethod):
-        points: Array = one.sample(rng, 2, how)
+        points: FloatArray = one.sample(rng, 2, how)
         if not truth.is_empty():
             wide = enlarged(truth, Fraction(1, 10**8))
             assert all(wide.holds(exact(point)) for point in points)

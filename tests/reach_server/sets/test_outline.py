@@ -6,13 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import MultiPoint, Polygon
 
-from reach_server.sets import ConstrainedZonotope, SetError, Zonotope, outline, planar
-from tests.reach_server.ugly import CONSTRAINED, INHABITED, Floats, Raw, directions, extreme, moderate, named
+from reach_server.numeric.types import FloatArray
+from reach_server.sets import ConstrainedZonotope, SetError, Zonotope, outline
+from reach_server.sets import polygon as planar
+from tests.reach_server.ugly import CONSTRAINED, INHABITED, Raw, directions, extreme, moderate, named
 
 PLANAR = tuple(case for case in INHABITED if case.n == 2)
 
 
-def band(normal: Floats, middle: float, radius: float, span: float) -> Polygon:
+def band(normal: FloatArray, middle: float, radius: float, span: float) -> Polygon:
     """The strip ``|normal·x - middle| <= radius`` as far as ``span``."""
     size = np.linalg.norm(normal)
     across, along = normal / size, np.array([-normal[1], normal[0]]) * span / size
@@ -34,7 +36,7 @@ def cut_zonotope(rng: np.random.Generator) -> tuple[ConstrainedZonotope, Polygon
     return c, true
 
 
-def close(vertices: Floats, true: Polygon) -> None:
+def close(vertices: FloatArray, true: Polygon) -> None:
     """Outer, and nowhere farther than 1e-9 of the extent from the true polygon."""
     size = max(true.bounds[2] - true.bounds[0], true.bounds[3] - true.bounds[1])
     ours = MultiPoint(vertices).convex_hull

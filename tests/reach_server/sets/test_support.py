@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from reach_server.sets import ConstrainedZonotope, simplex, support
-from tests.reach_server.ugly import CONSTRAINED, EMPTY, INHABITED, Floats, Raw, directions, extreme, moderate, named
+from reach_server.numeric.types import FloatArray
+from reach_server.sets import ConstrainedZonotope, support
+from reach_server.sets.kernels import simplex
+from tests.reach_server.ugly import CONSTRAINED, EMPTY, INHABITED, Raw, directions, extreme, moderate, named
 
 
 def problem(rng: np.random.Generator, rows: int, g: int) -> Raw:
@@ -17,7 +19,7 @@ def problem(rng: np.random.Generator, rows: int, g: int) -> Raw:
     return Raw("", rng.normal(size=2), rng.normal(size=(2, g)), A, A @ rng.uniform(-0.7, 0.7, g))
 
 
-def exact_bound(case: Raw, d: Floats, y: Floats) -> Fraction:
+def exact_bound(case: Raw, d: FloatArray, y: FloatArray) -> Fraction:
     """``d·c + b·y + |Gᵀd - Aᵀy|₁`` in rational numbers."""
     c, G, A, b, d_, y_ = (
         [[Fraction(v) for v in row] for row in np.atleast_2d(a)] for a in (case.c, case.G, case.A, case.b, d, y)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import SetError, Zonotope, tiling
 from reach_server.sets.zonotope import SampleMethod
-from tests.reach_server.ugly import ROUNDING, ZONOTOPES, Floats, Raw, gap, named
+from tests.reach_server.ugly import ROUNDING, ZONOTOPES, Raw, gap, named
 
 every = pytest.mark.parametrize("case", ZONOTOPES, ids=named)
 kinds = pytest.mark.parametrize("how", ["inside", "boundary", "factors"])
@@ -30,7 +31,7 @@ def test_points_of_the_boundary_have_members_beyond_reach(case: Raw) -> None:
         assert z.contains_point(case.c + (x - case.c) * (1 - 1e-9))
 
 
-def share_below(points: Floats, edges: Floats) -> Floats:
+def share_below(points: FloatArray, edges: FloatArray) -> FloatArray:
     return np.asarray((points[:, None] <= edges).mean(axis=0))
 
 
@@ -52,7 +53,7 @@ def test_inner_points_are_uniform(n: int) -> None:
         np.testing.assert_allclose(share_below(points @ d, edges), [0.05, 0.25, 0.5, 0.75, 0.95], atol=0.04)
 
 
-def _normals(generators: Floats) -> Floats:
+def _normals(generators: FloatArray) -> FloatArray:
     n, g = generators.shape
     if n == 2:
         return np.stack([-generators[1], generators[0]], axis=1)

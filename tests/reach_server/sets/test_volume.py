@@ -6,11 +6,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import SetError, Zonotope, volume
-from tests.reach_server.ugly import ZONOTOPES, Floats, Raw, named
+from tests.reach_server.ugly import ZONOTOPES, Raw, named
 
 
-def exact_volume(generators: Floats) -> Fraction:
+def exact_volume(generators: FloatArray) -> Fraction:
     """``2ⁿ Σ |det|`` in fractions."""
     n, g = generators.shape
     columns = [[Fraction(float(x)) for x in generators[:, j]] for j in range(g)]

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Polygon
 
+from reach_server.numeric.types import FloatArray
 from reach_server.sets import Direction, Interval, SetError, Zonotope
-from reach_server.sets.strips import StripMethod
+from reach_server.sets.halfspace import StripMethod
 from tests.reach_server.ugly import (
     ROUNDING,
     ZONOTOPES,
-    Floats,
     Raw,
     assert_holds,
     assert_outlines,
@@ -43,7 +43,7 @@ def free(case: Raw) -> Raw:
     return of(case.zonotope())
 
 
-def supports(points: Floats, d: Floats) -> Floats:
+def supports(points: FloatArray, d: FloatArray) -> FloatArray:
     return np.asarray((points @ d.T).max(axis=0))
 
 
@@ -142,9 +142,9 @@ def test_the_hull_of_a_set_with_itself_and_of_moved_twins_is_tight() -> None:
     )
 
 
-def strips_of(case: Raw) -> list[tuple[Floats, float, float]]:
+def strips_of(case: Raw) -> list[tuple[FloatArray, float, float]]:
     """Strips that cut a set on one side, on both, hardly, at its border, at one point, and not at all."""
-    found: list[tuple[Floats, float, float]] = []
+    found: list[tuple[FloatArray, float, float]] = []
     axis, random = directions(case.n, 1, seed=3)[[case.n, -1]]
     for normal in (axis, random):
         middle = float(normal @ case.c)
@@ -156,7 +156,7 @@ def strips_of(case: Raw) -> list[tuple[Floats, float, float]]:
     return found
 
 
-def cut(z: Zonotope, strip: tuple[Floats, float, float], method: StripMethod) -> Zonotope:
+def cut(z: Zonotope, strip: tuple[FloatArray, float, float], method: StripMethod) -> Zonotope:
     normal, lower, upper = strip
     if np.isinf(lower):
         return z.intersect_halfspace(normal, upper, method)
@@ -309,7 +309,7 @@ def test_bounds_never_fall_below_the_exact_ones(case: Raw) -> None:
     assert (exact(box.center) + corner >= exact(upper)).all()
 
 
-def exact(array: Floats) -> NDArray[np.object_]:
+def exact(array: FloatArray) -> NDArray[np.object_]:
     """The same numbers as fractions."""
     return np.array([Fraction(float(x)) for x in array.ravel()] + [None], dtype=object)[:-1].reshape(array.shape)
 
@@ -407,7 +407,7 @@ def test_half_spaces_at_infinity(bound: float) -> None:
         (["a", "b"], np.eye(2)),
     ],
 )
-def test_what_is_no_zonotope_is_refused(center: Floats, generators: Floats) -> None:
+def test_what_is_no_zonotope_is_refused(center: FloatArray, generators: FloatArray) -> None:
     with pytest.raises(SetError):
         Zonotope(center, generators)
 

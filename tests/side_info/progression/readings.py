@@ -6,8 +6,8 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from side_info.normal import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until
 from side_info.progression import TRUE, Table
+from side_info.stl.nnf import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until
 
 Bools = NDArray[np.bool_]
 

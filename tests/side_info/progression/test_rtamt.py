@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from side_info.normal import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from side_info.progression import Grid, Table
+from side_info.stl.nnf import Conjunction, Constant, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from tests.side_info.progression.readings import Bools, accepts, random_formula
 
 with warnings.catch_warnings():

@@ -6,8 +6,8 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from side_info.progression import Grid, Table
+from side_info.stl.nnf import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from tests.side_info.progression.readings import Bools, Bounds, accepts, at_instant, minimal, on_grid, random_formula
 
 A, B = Literal(0), Literal(1)

@@ -5,8 +5,8 @@ from random import Random
 import numpy as np
 import pytest
 
-from side_info.normal import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from side_info.progression import DEAD, FALSE, TRUE, Grid, Table, frontier
+from side_info.stl.nnf import Conjunction, Disjunction, Finally, Globally, Literal, Normal, Until, reach_ns
 from tests.side_info.progression.readings import accepts, believed, on_grid, plain_steps, random_formula
 
 A, B, C = Literal(0), Literal(1), Literal(2)

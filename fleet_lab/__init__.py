@@ -1,0 +1,1 @@
+"""What is done with the server offline: evaluation, identification, the paper, systems whose truth is known."""

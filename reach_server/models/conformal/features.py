@@ -1,0 +1,229 @@
+"""Compiled: features of the horizon model, the increments that it predicts, and the regressors of the size of errors.
+
+All of one vehicle, whose ring buffers are given. A sample is named by its number in the stream, counted from 0; it
+stands at that number modulo the size of the ring.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.numeric.jit import kernel
+from reach_server.numeric.types import BoolArray, FloatArray, IntArray
+
+Runs = NDArray[np.int32]
+
+
+@kernel
+def turned(angle: float) -> float:
+    """An angle brought to [-pi, pi)."""
+    if -math.pi <= angle < math.pi:
+        return angle
+    return float((angle + math.pi) % (2 * math.pi) - math.pi)
+
+
+@kernel
+def increment(t: IntArray, x: FloatArray, before: int, terms: FeatureSpec, out: FloatArray, at: int) -> None:
+    """Change from the sample at place ``before`` to the one after it, brought to the nominal interval; positions in the
+    frame of the earlier sample. Goes to ``out`` from ``at`` on."""
+    after = before + 1 if before + 1 < len(t) else 0
+    elapsed = t[after] - t[before]
+    rate = terms.interval / elapsed if elapsed > 0 else 1.0
+    for i in range(terms.n):
+        change = x[after, i] - x[before, i]
+        out[at + i] = rate * (turned(change) if terms.angles >> i & 1 else change)
+    if terms.heading >= 0:
+        c, s = math.cos(x[before, terms.heading]), math.sin(x[before, terms.heading])
+        ahead, left = out[at + terms.first], out[at + terms.second]
+        out[at + terms.first] = c * ahead + s * left
+        out[at + terms.second] = c * left - s * ahead
+
+
+@kernel
+def present(t: IntArray, x: FloatArray, u: FloatArray, number: int, terms: FeatureSpec, out: FloatArray) -> None:
+    """The columns of ``out`` (total,) that are known at a sample."""
+    size = len(t)
+    here = number % size
+    out[0] = 1.0
+    column = 1
+    for i in range(terms.n):
+        if terms.free >> i & 1:
+            if terms.angles >> i & 1:
+                out[column] = math.cos(x[here, i])
+                column += 1
+                out[column] = math.sin(x[here, i])
+            else:
+                out[column] = x[here, i]
+            column += 1
+    per_second = 1e9 / terms.interval
+    for lag in range(1, terms.increments + 1):
+        increment(t, x, (number - lag) % size, terms, out, column)
+        for i in range(column, column + terms.n):
+            out[i] *= per_second
+        column += terms.n
+    for lag in range(terms.lags + 1):
+        place = (number - lag) % size
+        for i in range(terms.m):
+            out[column] = u[place, i]
+            column += 1
+    if terms.speed < 0:
+        return
+    v = x[here, terms.speed]
+    if terms.heading >= 0:
+        r = out[terms.at_increments + terms.heading]
+        out[column], out[column + 1] = v * r, v * v
+        out[column + 2], out[column + 3] = v * v * r, v * r * r
+        column += 4
+    if terms.steering >= 0:
+        for lag in range(terms.lags + 1):
+            out[column] = v * out[terms.at_inputs + lag * terms.m + terms.steering]
+            column += 1
+
+
+@kernel
+def ahead(x: FloatArray, number: int, plan: FloatArray, terms: FeatureSpec, out: FloatArray) -> None:
+    """The columns of ``out`` (total,) that the later inputs ``plan`` (N - 1, m) fill."""
+    column = terms.base
+    for j in range(terms.horizon - 1):
+        for i in range(terms.m):
+            out[column] = plan[j, i]
+            column += 1
+        if terms.steering >= 0:
+            out[column] = x[number % len(x), terms.speed] * plan[j, terms.steering]
+            column += 1
+
+
+@kernel
+def recorded(t: IntArray, x: FloatArray, u: FloatArray, number: int, terms: FeatureSpec, out: FloatArray) -> None:
+    """All columns ``out`` (total,) of a sample, the later inputs as they came."""
+    present(t, x, u, number, terms, out)
+    if not terms.planned:
+        return
+    column = terms.base
+    for j in range(1, terms.horizon):
+        place = (number + j) % len(t)
+        for i in range(terms.m):
+            out[column] = u[place, i]
+            column += 1
+        if terms.steering >= 0:
+            out[column] = x[number % len(t), terms.speed] * u[place, terms.steering]
+            column += 1
+
+
+@kernel
+def targets(t: IntArray, x: FloatArray, number: int, terms: FeatureSpec, out: FloatArray) -> None:
+    """The N increments ``out`` (N n,) that follow a sample."""
+    for h in range(terms.horizon):
+        increment(t, x, (number + h) % len(t), terms, out, h * terms.n)
+
+
+@kernel
+def step_sizes(
+    samples: Samples, slot: int, number: int, terms: FeatureSpec, change: FloatArray, fastest: FloatArray
+) -> None:
+    """Raise ``fastest`` (n,) to the magnitudes of the change that led to a sample, if it follows one and neither is a
+    glitch; of the positions of a pose the length of the way counts. ``change`` (n,) is room."""
+    t, x, gated = samples.t[slot], samples.x[slot], samples.gated[slot]
+    place, before = number % len(t), (number - 1) % len(t)
+    if number < 1 or samples.run[slot, place] < 1 or gated[place] or gated[before]:
+        return
+    increment(t, x, before, terms, change, 0)
+    if terms.heading >= 0:
+        change[terms.first] = change[terms.second] = math.hypot(change[terms.first], change[terms.second])
+    for i in range(terms.n):
+        fastest[i] = max(fastest[i], abs(change[i]))
+
+
+@kernel
+def complete(run: Runs, known: BoolArray, number: int, terms: FeatureSpec) -> bool:
+    """Whether a sample has all that its features look back to."""
+    size = len(run)
+    if run[number % size] < terms.reach:
+        return False
+    for lag in range(terms.lags + 1):  # noqa: SIM110 - generators do not compile
+        if not known[(number - lag) % size]:
+            return False
+    return True
+
+
+@kernel
+def usable(run: Runs, known: BoolArray, gated: BoolArray, number: int, terms: FeatureSpec) -> bool:
+    """Whether a sample is a datum of the model: features complete, N samples follow it (with their inputs, if these
+    enter), and no glitch is among those that tell of the pose."""
+    size, steps = len(run), terms.horizon
+    if run[(number + steps) % size] < terms.reach + steps or not complete(run, known, number, terms):
+        return False
+    if terms.planned:
+        for j in range(1, steps):
+            if not known[(number + j) % size]:
+                return False
+    return clean(gated, number, steps, terms)
+
+
+@kernel
+def clean(gated: BoolArray, number: int, steps: int, terms: FeatureSpec) -> bool:
+    """Whether no glitch is among the poses that the features of a sample look at and the ``steps`` after it."""
+    for j in range(-terms.increments, steps + 1):  # noqa: SIM110 - generators do not compile
+        if gated[(number + j) % len(gated)]:
+            return False
+    return True
+
+
+@kernel
+def size_regressors(phi: FloatArray, h: int, terms: FeatureSpec, out: FloatArray) -> None:
+    """What the size of an error at step ``h`` (from 0) depends on, ``out`` (sizes,), all nonnegative:
+
+    1, |v|, |r|, |v r|, range of each input over its lags (and over the later ones that are known), |v| range(steering),
+    last change per second of each state of the model, and how much the increments of each state vary over the lags.
+    """
+    out[0] = 1.0
+    column = 1
+    if terms.speed >= 0:
+        out[1] = abs(_speed(phi, terms))
+        column = 2
+        if terms.heading >= 0:
+            out[2] = abs(phi[terms.at_increments + terms.heading])
+            out[3] = out[1] * out[2]
+            column = 4
+    range_regressors(phi, h, terms, out)
+    column += terms.m + int(terms.steering >= 0)
+    for i in range(terms.n):
+        if terms.free >> i & 1:
+            out[column] = abs(phi[terms.at_increments + i])
+            column += 1
+    for i in range(terms.n):
+        varied = 0.0
+        for lag in range(terms.increments - 1):
+            at = terms.at_increments + lag * terms.n + i
+            varied += abs(phi[at] - phi[at + terms.n])
+        out[column + i] = varied
+
+
+@kernel
+def _speed(phi: FloatArray, terms: FeatureSpec) -> float:
+    column = 1
+    for i in range(terms.speed):
+        if terms.free >> i & 1:
+            column += 1 + (terms.angles >> i & 1)
+    return float(phi[column])
+
+
+@kernel
+def range_regressors(phi: FloatArray, h: int, terms: FeatureSpec, out: FloatArray) -> None:
+    """Those of the above that grow from step to step: how far inputs vary from their oldest lags to the last that are
+    known for step ``h``."""
+    column = 1 + int(terms.speed >= 0) + 2 * int(terms.speed >= 0 and terms.heading >= 0)
+    for i in range(terms.m):
+        low = high = phi[terms.at_inputs + i]
+        for lag in range(1, terms.lags + 1):
+            u = phi[terms.at_inputs + lag * terms.m + i]
+            low, high = min(low, u), max(high, u)
+        if terms.planned:
+            for j in range(h):
+                u = phi[terms.base + j * terms.later + i]
+                low, high = min(low, u), max(high, u)
+        out[column + i] = high - low
+    if terms.steering >= 0:
+        out[column + terms.m] = out[1] * out[column + terms.steering]

@@ -1,0 +1,230 @@
+"""Which data bound the residual function on the way of a vehicle, compiled (``residuals`` says why any choice is
+sound).
+
+For some points on the way, with the bounds of ``residuals``: the data of least ``±d·r_j + Σ_i |d_i| drift_ji`` in every
+direction d, which are those that bind there, and the data of least weighted drift, which serve the hull. The way is
+that of the centers of the sets: one step after the other by the model alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach_server.models.set_membership import Fitted, weigh
+from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.types import FloatArray, IntArray
+
+#: Points on the way of a vehicle for which data is chosen.
+POINTS = 3
+
+
+class Data(NamedTuple):
+    """Transitions of V vehicles, the data last so that loops over it run through memory in order: regressors ``z``
+    (V, p, T), targets ``y`` (V, n, T), and which places hold a datum that counts, ``valid`` (V, T). Here also those of
+    one vehicle, without the first axis."""
+
+    z: FloatArray
+    y: FloatArray
+    valid: NDArray[np.bool_]
+
+
+class SelectionWorkspace(NamedTuple):
+    """Room for a search: ``residual`` and ``drift`` (n, T), ``score`` (T,), ``best`` (lists, k) ascending and ``place``
+    (lists, k) of the data found, -1 where none, ``taken`` (T,)."""
+
+    residual: FloatArray
+    drift: FloatArray
+    score: FloatArray
+    best: FloatArray
+    place: IntArray
+    taken: NDArray[np.bool_]
+
+
+@kernel
+def search_for(fitted: Fitted, size: int, points: int, membership: bool) -> SelectionWorkspace:
+    """Room to search ``size`` data for ``points`` points, as many of each kind as there is room for in ``fitted``."""
+    n = fitted.low.shape[1]
+    kinds = 1 + 2 * (n + fitted.directions.shape[1]) if membership else 1
+    each = max(1, fitted.z.shape[2] // (points * kinds))
+    return SelectionWorkspace(
+        np.empty((n, size)), np.empty((n, size)), np.empty(size), np.empty((points * kinds, each)),
+        np.empty((points * kinds, each), np.int64), np.empty(size, np.bool_),
+    )  # fmt: skip
+
+
+@leaf_kernel
+def _residuals(data: Data, fitted: Fitted, v: int, residual: FloatArray) -> None:
+    """``y - M [1; z]`` of all data."""
+    for i in range(len(residual)):
+        row, target, constant = residual[i], data.y[i], fitted.matrix[v, i, 0]
+        for j in range(len(row)):
+            row[j] = target[j] - constant
+        for c in range(len(data.z)):
+            z, slope = data.z[c], fitted.matrix[v, i, 1 + c]
+            for j in range(len(row)):
+                row[j] -= slope * z[j]
+
+
+@leaf_kernel
+def _drifts(data: Data, fitted: Fitted, v: int, at: FloatArray, drift: FloatArray) -> None:
+    """``Σ_c L_ic |at - z_j|_c`` of all data."""
+    for i in range(len(drift)):
+        row = drift[i]
+        row[:] = 0.0
+        for c in range(len(at)):
+            z, slope, middle = data.z[c], fitted.slope[v, i, c], at[c]
+            if slope != 0.0:
+                for j in range(len(row)):
+                    row[j] += slope * abs(middle - z[j])
+
+
+@leaf_kernel
+def _rank(score: FloatArray, valid: NDArray[np.bool_], best: FloatArray, place: IntArray) -> None:
+    """The data of least score."""
+    last = len(best) - 1
+    best[:] = np.inf
+    place[:] = -1
+    for j in range(len(score)):
+        if score[j] < best[last] and valid[j]:
+            k = last
+            while k > 0 and best[k - 1] > score[j]:
+                best[k], place[k] = best[k - 1], place[k - 1]
+                k -= 1
+            best[k], place[k] = score[j], j
+
+
+@leaf_kernel
+def _add(rows: FloatArray, i: int, factor: float, score: FloatArray) -> None:
+    row = rows[i]
+    for j in range(len(score)):
+        score[j] += factor * row[j]
+
+
+@leaf_kernel
+def _search(
+    data: Data,
+    fitted: Fitted,
+    v: int,
+    points: FloatArray,
+    weights: FloatArray,
+    membership: bool,
+    room: SelectionWorkspace,
+) -> None:
+    """The data of least score of every kind at every point."""
+    n, ways = len(room.drift), fitted.directions.shape[1]
+    kinds = len(room.best) // len(points)
+    if membership:
+        _residuals(data, fitted, v, room.residual)
+    for number in range(len(points)):
+        _drifts(data, fitted, v, points[number], room.drift)
+        kind = number * kinds
+        room.score[:] = 0.0
+        for i in range(n):
+            _add(room.drift, i, weights[i], room.score)
+        _rank(room.score, data.valid, room.best[kind], room.place[kind])
+        for way in range(n + ways if membership else 0):
+            for side in range(2):
+                kind += 1
+                room.place[kind] = -1
+                room.score[:] = 0.0
+                speaks = False
+                for i in range(n):
+                    d = (1.0 if i == way else 0.0) if way < n else fitted.directions[v, way - n, i]
+                    if d != 0.0:
+                        speaks = True
+                        _add(room.residual, i, d if side == 0 else -d, room.score)
+                        _add(room.drift, i, abs(d), room.score)
+                if speaks:
+                    _rank(room.score, data.valid, room.best[kind], room.place[kind])
+
+
+@leaf_kernel
+def _take(data: Data, fitted: Fitted, v: int, place: int) -> None:
+    """Put one datum among those that bound the residual function."""
+    held = fitted.held[v]
+    for c in range(data.z.shape[0]):
+        fitted.z[v, c, held] = data.z[c, place]
+    for i in range(data.y.shape[0]):
+        residual = data.y[i, place] - fitted.matrix[v, i, 0]
+        for c in range(data.z.shape[0]):
+            residual -= fitted.matrix[v, i, 1 + c] * data.z[c, place]
+        fitted.residual[v, i, held] = residual
+    fitted.held[v] = held + 1
+
+
+@leaf_kernel
+def choose_one(
+    data: Data,
+    fitted: Fitted,
+    v: int,
+    points: FloatArray,
+    weights: FloatArray,
+    membership: bool,
+    room: SelectionWorkspace,
+) -> None:
+    """Fill ``z``, ``residual`` and ``held`` of model v from the data of its vehicle, at most as many as there is room
+    for: all if they are no more, else those that ``points`` (P, p) need; at least one if there is any. None without any
+    bound L, where a single datum says nothing about other regressors."""
+    size, most = len(data.valid), fitted.z.shape[2]
+    fitted.held[v] = 0
+    available = 0
+    for j in range(size):
+        available += data.valid[j]
+    knows = False
+    for i in range(data.y.shape[0]):
+        for c in range(data.z.shape[0]):
+            knows = knows or fitted.slope[v, i, c] > 0.0
+    if not knows:
+        return
+    if available > most:
+        _search(data, fitted, v, points, weights, membership, room)
+        room.taken[:] = False
+        # The best of every kind first, in case there is not room for all.
+        for k in range(room.place.shape[1]):
+            for kind in range(len(room.place)):
+                place = room.place[kind, k]
+                if place >= 0 and not room.taken[place] and fitted.held[v] < most:
+                    room.taken[place] = True
+                    _take(data, fitted, v, place)
+    if fitted.held[v] == 0:
+        for j in range(size):
+            if data.valid[j] and fitted.held[v] < most:
+                _take(data, fitted, v, j)
+
+
+@kernel
+def choose_many(
+    data: Data, rows: IntArray, fitted: Fitted, membership: bool, free: IntArray, increments: bool,
+    state: FloatArray, past: FloatArray, inputs: FloatArray,
+) -> None:  # fmt: skip
+    """``choose_one`` for models whose data stand in ``rows`` (B,) of ``data``, on the ways that begin at ``state``
+    (B, n), with lagged inputs ``past`` (B, lags, m) and centers of inputs ``inputs`` (B, N, m).
+
+    ``free``: the states among the regressors. ``increments``: the model gives changes of states, not states.
+    """
+    count, steps, m = inputs.shape
+    lags, n, p = past.shape[1], state.shape[1], fitted.slope.shape[2]
+    points = np.empty((min(POINTS, steps), p))
+    room = search_for(fitted, data.valid.shape[1], len(points), membership)
+    weights, here, after, at = np.empty(n), np.empty(n), np.empty(n), np.empty(p)
+    for b in range(count):
+        one = Data(data.z[rows[b]], data.y[rows[b]], data.valid[rows[b]])
+        weigh(fitted, b, weights)
+        here[:] = state[b]
+        for k in range(steps):
+            for c in range(len(free)):
+                at[c] = here[free[c]]
+            for lag in range(lags + 1):
+                for i in range(m):
+                    value = inputs[b, k - lag, i] if k >= lag else past[b, lag - k - 1, i]
+                    at[len(free) + lag * m + i] = value
+            for number in range(len(points)):
+                if k == number * (steps - 1) // max(len(points) - 1, 1):
+                    points[number] = at
+            for i in range(n):
+                after[i] = fitted.matrix[b, i, 0] + (here[i] if increments else 0.0)
+                for c in range(p):
+                    after[i] += fitted.matrix[b, i, 1 + c] * at[c]
+            here[:] = after
+        choose_one(one, fitted, b, points, weights, membership, room)

@@ -1,0 +1,1 @@
+"""Arrays with no idea of vehicles: types, checks, intervals, compiled code and its cache."""

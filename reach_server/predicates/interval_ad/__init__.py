@@ -1,0 +1,1 @@
+"""Bounds of a predicate and its derivatives over boxes, by walking its expression."""

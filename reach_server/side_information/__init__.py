@@ -1,0 +1,1 @@
+"""Scenarios along a drive: what signal temporal logic still asks of each vehicle."""

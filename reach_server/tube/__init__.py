@@ -1,0 +1,1 @@
+"""Sets over the horizon, with and without branches."""

@@ -1,0 +1,1 @@
+"""Scenario documents: reading, checking, and what is wrong where."""

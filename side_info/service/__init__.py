@@ -1,0 +1,1 @@
+"""The service that publishes scenarios and assignments."""

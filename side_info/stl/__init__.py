@@ -1,0 +1,1 @@
+"""Formulas of signal temporal logic: grammar, normal forms, predicates."""
