@@ -25,7 +25,7 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 
 #: Versions of one file's kernels that are kept; the least recently used go first.
-KEPT_VERSIONS: Final = 4
+KEPT_VERSIONS: Final = 8
 _PACKAGE: Final = __name__.partition(".")[0]
 _PACKAGES_FOLDER: Final = Path(__file__).resolve().parents[__name__.count(".")]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import reach_server
+from reach_server.numeric.kernel_cache import KEPT_VERSIONS
 
 ROOT = Path(reach_server.__file__).parents[1]
 AREA = """
@@ -81,8 +82,8 @@ def test_old_versions_are_removed(copy: Path) -> None:
     cache = copy / "cache"
     called = copy / "reach_server" / "sets" / "kernels" / "strip.py"
     before = called.read_text()
-    for version in range(6):
+    for version in range(KEPT_VERSIONS + 2):
         called.write_text(f"{before}# {version}\n")
         area(copy, FLEET_KERNEL_CACHE=str(cache))
     (own,) = (cache / "fleet-reach" / "kernels").glob("sets.polygon")
-    assert len(list(own.iterdir())) == 4
+    assert len(list(own.iterdir())) == KEPT_VERSIONS
