@@ -1,11 +1,10 @@
 """The server behind its decoders, fed with extreme messages of all kinds: it goes on, keeps no more, and nobody else's
 tubes change.
 
-``FLEET_TEST_EXAMPLES`` says how many messages come (a campaign: 100 000), ``FLEET_TEST_SEED`` which ones.
+A campaign says how many messages come, and which ones.
 """
 
 import gc
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -35,12 +34,13 @@ from reach_server.service import server as server_module
 from reach_server.service.other_servers import OtherServers
 from reach_server.service.server import ReachServer
 from reach_server.side_information import scenarios as assignments
+from tests.examples import examples, seed
 from tests.reach_server.drives import PROFILE, START, SVEA, World
 from tests.reach_server.hostile import VEHICLES, Hostile
 from vehicle_agent.simulate import simulate_history
 
-MESSAGES = int(os.environ.get("FLEET_TEST_EXAMPLES", "3000"))
-SEED = int(os.environ.get("FLEET_TEST_SEED", "0"))
+MESSAGES = examples(3000)
+SEED = seed()
 PER_ROUND = 40
 #: Samples of each well-behaved vehicle that come in the first round: enough for a model.
 CATCH_UP = 200

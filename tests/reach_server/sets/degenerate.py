@@ -1,27 +1,22 @@
-"""Sets that touch, are flat, single points, empty, far away, huge or tiny, with repeated rows or without generators.
+"""Sets that touch, are flat, single points, empty, far away, huge or tiny, with repeated rows or without generators."""
 
-``FLEET_TEST_EXAMPLES`` is how many are drawn for each property, ``FLEET_TEST_SEED`` what they are drawn from.
-"""
-
-import os
 from collections.abc import Iterator
 
 import numpy as np
 
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
+from tests.examples import examples, seed
 
 AnySet = Zonotope | ConstrainedZonotope
 KINDS: tuple[type[AnySet], ...] = (Zonotope, ConstrainedZonotope)
-EXAMPLES = int(os.environ.get("FLEET_TEST_EXAMPLES", "0"))
-SEED = int(os.environ.get("FLEET_TEST_SEED", "0"))
 
 
 def generators(count: int, *salt: int, share: int = 1) -> Iterator[np.random.Generator]:
     """Random numbers for each example of a property: the same ones in every run, unless another seed is asked for. Of
     those that take long, one in ``share``."""
-    for example in range(max((EXAMPLES or count) // share, 1)):
-        yield np.random.default_rng([SEED, example, *salt])
+    for example in range(max(examples(count) // share, 1)):
+        yield np.random.default_rng([seed(), example, *salt])
 
 
 def numbers(rng: np.random.Generator, *shape: int) -> FloatArray:
