@@ -7,7 +7,7 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets import support
 from reach_server.sets.constraint_reduction import Parts

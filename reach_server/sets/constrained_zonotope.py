@@ -19,7 +19,8 @@ from reach_server.numeric.checks import (
     checked_dimension,
     stack_columns,
 )
-from reach_server.numeric.intervals import EPS, Interval
+from reach_server.numeric.intervals import Interval
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets import constrained_questions, constraint_reduction, outline, precise, support
 from reach_server.sets import halfspace as strips

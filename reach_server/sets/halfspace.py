@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reach_server.numeric.checks import SetError, checked, checked_batch, checked_bounds
-from reach_server.numeric.intervals import Interval, add_down, add_up
+from reach_server.numeric.intervals import Interval
 from reach_server.numeric.jit import reduction_kernel, stacked
+from reach_server.numeric.rounding import add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets.kernels.strip import MISSED, WORK, Flags, narrow_one, tightened
 from reach_server.sets.polygon import zonotope_area

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import halfspace as strips
 from reach_server.sets.containment import face_normals

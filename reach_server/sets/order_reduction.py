@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from reach_server.numeric.checks import SetError
-from reach_server.numeric.intervals import EPS, sum_up
+from reach_server.numeric.rounding import EPS, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 
 ReductionMethod = Literal["girard", "combastel", "pca", "scott"]

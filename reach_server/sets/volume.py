@@ -4,7 +4,7 @@ from math import comb
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 from reach_server.sets.order_reduction import girard, pca
 from reach_server.sets.polygon import zonotope_area, zonotope_volume

@@ -19,7 +19,8 @@ from reach_server.numeric.checks import (
     checked_dimension,
     stack_columns,
 )
-from reach_server.numeric.intervals import EPS, Interval, add_down, add_up, sum_up
+from reach_server.numeric.intervals import Interval
+from reach_server.numeric.rounding import EPS, add_down, add_up, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets import containment, parallel, support, tiling, volume
 from reach_server.sets import halfspace as strips

@@ -18,8 +18,8 @@ candidate costs one pass over the columns.
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import inline, inline_reduction, leaf_reduction_kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 
 Flags = NDArray[np.uint8]
