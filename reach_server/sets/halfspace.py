@@ -72,7 +72,7 @@ def _sum(radius: FloatArray, excess: FloatArray) -> FloatArray:
 
 class Narrowed(NamedTuple):
     """Zonotopes after their cuts: ``center`` (..., z), ``generators`` (..., z, g + C), zero beyond the first ``used``
-    (...) columns, and the flags ``acted`` (..., C) of the strips (``ACTED``, ``MISSED`` in ``kernels``)."""
+    (...) columns, and the flags ``acted`` (..., C) of the strips (``ACTED``, ``MISSED`` in ``kernels.strip``)."""
 
     center: FloatArray
     generators: FloatArray
@@ -114,7 +114,7 @@ def intersect_strip(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Center, generators (..., n, g + 1) of a zonotope around the intersection, and where it is certainly empty.
 
-    An outer bound; ``frobenius`` and ``tight`` are those of ``kernels.narrow_one``: the paper's Algorithm 2, whose
+    An outer bound; ``frobenius`` and ``tight`` are those of ``kernels.strip.narrow_one``: the paper's Algorithm 2, whose
     result may be larger than the set, and the best of some λ, whose result never is. Sizes are compared by the area in
     ``plane`` (or of a planar set) times the widths of the other coordinates; without a plane by all widths.
 
@@ -141,7 +141,7 @@ def narrow(
     """Zonotopes around sets (..., z), (..., z, g) cut by those of C strips that are ``active`` (..., C): outer.
 
     normals (..., C, n) over the first n <= z coordinates, lower and upper (..., C). There is room for one column more a
-    strip: ``tight`` cuts without one where that is used up. See ``kernels.narrow_one``.
+    strip: ``tight`` cuts without one where that is used up. See ``kernels.strip.narrow_one``.
     """
     batch = np.broadcast_shapes(
         center.shape[:-1], generators.shape[:-2], normals.shape[:-2], lower.shape[:-1], upper.shape[:-1],

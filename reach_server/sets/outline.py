@@ -16,11 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from reach_server.numeric.jit import kernel, stacked
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.sets import polygon as planar
 from reach_server.sets import support
-from reach_server.sets.kernels import simplex
-from reach_server.sets.kernels.simplex import EMPTY, EPS, factorise, load, maximise
+from reach_server.sets.kernels.certificates import dependent_rows_fail
+from reach_server.sets.kernels.simplex import EMPTY, maximise
+from reach_server.sets.kernels.tableau import factorise, load
 
 #: An outline is exact if no edge lies farther out than this, relative to the greatest extent of the set.
 EXACT = 1e-9
@@ -84,7 +86,7 @@ def trace(
             matrix[p if matrix.shape[0] > 1 else 0], offset[p if offset.shape[0] > 1 else 0], rows, scale, tableau
         )  # fmt: skip
         rank = factorise(rows, tableau, basis, basic, False)
-        if simplex.dependent_rows_fail(rows, tableau, rank, ray):
+        if dependent_rows_fail(rows, tableau, rank, ray):
             numbers[p] = -1
             continue
         c = center[p if center.shape[0] > 1 else 0]
