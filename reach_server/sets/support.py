@@ -117,7 +117,7 @@ def constrained_support(
 
 
 def parts_support(parts: Parts, directions: FloatArray) -> FloatArray:
-    """Upper bound of ``d·x`` for directions (..., K, n), shape (..., K): outer; -inf where the set is certainly empty."""
+    """Upper bound (..., K) of ``d·x`` for directions (..., K, n): outer; -inf where the set is certainly empty."""
     found = solve(*parts, directions)
     return np.where(found.empty, -np.inf, found.bound)
 
