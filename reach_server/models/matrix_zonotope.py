@@ -50,8 +50,8 @@ from reach_server.data.input_sets import InputSets
 from reach_server.data.regressors import RegressorSpec, Transitions
 from reach_server.models.residual_model import NoiseBounds
 from reach_server.numeric.checks import stack_columns
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 from reach_server.sets.raw import RawSets
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from fleet_bus.messages import Lipschitz, VehicleProfile
 from reach_server.data.regressors import RegressorSpec, Transitions
 from reach_server.models.set_membership import Fitted, residual_sets
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 
 #: Directions beside the axes in which residuals are bounded, of a class whose noise set is not a box.

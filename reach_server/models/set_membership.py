@@ -39,10 +39,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
-from reach_server.sets.kernels.strip import WORK, narrow_one, pair_area
+from reach_server.sets.kernels.planar import pair_area
+from reach_server.sets.kernels.strip import WORK, narrow_one
 
 #: A lower bound exceeds an upper one if it does by more than this, relative to the two.
 CONTRADICTION = 1e-9

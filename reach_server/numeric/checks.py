@@ -107,6 +107,12 @@ def stack_columns(*blocks: FloatArray) -> FloatArray:
     return np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], axis=-1)
 
 
+def stack_rows(*blocks: FloatArray) -> FloatArray:
+    """Matrices (..., n_i, g) one below the other, batch axes broadcast."""
+    batch = np.broadcast_shapes(*(block.shape[:-2] for block in blocks))
+    return np.concatenate([np.broadcast_to(b, (*batch, *b.shape[-2:])) for b in blocks], axis=-2)
+
+
 def block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
     """Block diagonal matrix (..., n1 + n2, g1 + g2) of two matrices, batch axes broadcast."""
     batch = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])

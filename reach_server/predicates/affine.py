@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.expansion import Above
 from reach_server.predicates.halfspace import status_of

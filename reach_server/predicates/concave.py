@@ -10,7 +10,7 @@ of the inside. Along a ray ``h`` is near a parabola, whose root is one Newton st
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS, add_down, add_up
+from reach_server.numeric.rounding import EPS, add_down, add_up
 from reach_server.numeric.types import FloatArray
 from reach_server.predicates.expansion import Expansion
 from reach_server.predicates.interval_ad.arithmetic import Bounds

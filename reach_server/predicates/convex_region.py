@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.intervals import add_up
+from reach_server.numeric.rounding import add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.concave import directions
 from reach_server.predicates.concave import tangents as tangents_at

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.intervals import add_down, add_up, sum_up
+from reach_server.numeric.rounding import add_down, add_up, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.interval_ad.arithmetic import Bounds
 from reach_server.predicates.interval_ad.enclosure import Jet, PredicateFunction

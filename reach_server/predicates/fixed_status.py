@@ -6,8 +6,8 @@ outwards by one unit in the last place.
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER, Status
 from reach_server.sets.kernels.strip import EMPTY_MARGIN

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.affine import AffineCutter, affine_in_states
 from reach_server.predicates.convex_region import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips

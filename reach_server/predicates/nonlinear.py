@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.intervals import add_down, add_up
+from reach_server.numeric.rounding import add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.concave import border, directions, tangents
 from reach_server.predicates.expansion import Above, Expansion

@@ -11,7 +11,7 @@ the least. All results are rounded up; they are +inf where an entry of H is not 
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS, add_up, sum_up
+from reach_server.numeric.rounding import EPS, add_up, sum_up
 from reach_server.numeric.types import FloatArray
 from reach_server.predicates.interval_ad.arithmetic import Bounds, magnitude
 from reach_server.predicates.interval_ad.linear_range import product

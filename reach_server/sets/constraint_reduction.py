@@ -1,24 +1,16 @@
-"""Constrained zonotopes with fewer constraints or tighter factors, and without what is exactly redundant.
-
-The parts of a set are ``(center, generators, constraint_matrix, constraint_offset)`` with batch axes as in the class.
-"""
+"""Constrained zonotopes with fewer constraints: one row and one factor at a time are eliminated, outer ([SDB+16])."""
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.sets import parallel, support
 from reach_server.sets import polygon as planar
-from reach_server.sets.precise import remainder
+from reach_server.sets import redundancy, support
+from reach_server.sets.factor_bounds import rescale
+from reach_server.sets.parts import Indices, Parts, common_batch
 
-Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Indices = NDArray[np.intp]
-
-#: Factors are never rescaled to less than this half-width: rounding of the rows would grow into contradictions.
-NARROWEST = 1e-5
 #: How many times over a factor may leave its bounds when they are given up.
 FAR = 1e3
 #: Columns whose greatest entry is below this, of rows of size 1, are not eliminated by.
@@ -42,74 +34,6 @@ class State(NamedTuple):
     lost: FloatArray
 
 
-def common_batch(parts: Parts, batch: tuple[int, ...] = ()) -> Parts:
-    """The parts with all batch axes, and at least ``batch``, written out."""
-    center, generators, matrix, offset = parts
-    common = np.broadcast_shapes(batch, center.shape[:-1], generators.shape[:-2], matrix.shape[:-2], offset.shape[:-1])
-    return (
-        np.broadcast_to(center, common + center.shape[-1:]),
-        np.broadcast_to(generators, common + generators.shape[-2:]),
-        np.broadcast_to(matrix, common + matrix.shape[-2:]),
-        np.broadcast_to(offset, common + offset.shape[-1:]),
-    )
-
-
-def at(parts: Parts, place: tuple[int, ...]) -> Parts:
-    """The parts of one set of a batch with all axes written out."""
-    center, generators, matrix, offset = parts
-    return center[place], generators[place], matrix[place], offset[place]
-
-
-def factor_bounds(matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bounds (lower, upper) (..., g) of the factors with ``Aβ = b``, ``|β| <= 1``: outer, certified by duality.
-
-    [-1, 1] where there are no such factors.
-    """
-    g = matrix.shape[-1]
-    unit = np.eye(g)
-    found = support.solve(np.zeros(g), unit, matrix, offset, np.concatenate([unit, -unit]))
-    bound = np.where(found.empty, 1.0, np.minimum(found.bound, 1.0))
-    lower, upper = np.maximum(-bound[..., g:], -1.0), np.maximum(bound[..., :g], -1.0)
-    # Bounds that cross by more than rounding are those of a set that is empty, if not provably so.
-    nothing = lower - upper > NARROWEST
-    lower, upper = np.where(nothing, -1.0, lower), np.where(nothing, 1.0, upper)
-    return np.minimum(lower, upper), np.maximum(lower, upper)
-
-
-def rescale(parts: Parts) -> Parts:
-    """The same set over factors that the constraints let reach both of their bounds: exact ([SDB+16], eq. 24).
-
-    With ``β = m + Rβ'`` for the certified bounds ``m ± R``: ``c + Gm``, ``GR``, ``AR``, ``b - Am``. The paper bounds
-    the factors by interval propagation; linear programs give the least bounds. A factor that has less than
-    ``NARROWEST`` left is not rescaled: one that is tied down has no bounds to reach, and each time its rows would lose
-    digits. ``b - Am`` is summed in twice the precision: it is small beside its terms where ``AR`` is small, and its
-    rounding would contradict the other rows.
-    """
-    center, generators, matrix, offset = parts
-    lower, upper = factor_bounds(matrix, offset)
-    narrow = upper - lower < 2 * NARROWEST
-    middle, half = around(np.where(narrow, -1.0, lower), np.where(narrow, 1.0, upper))
-    return (
-        center + (generators @ middle[..., None])[..., 0],
-        generators * half[..., None, :],
-        matrix * half[..., None, :],
-        remainder(offset, matrix, middle),
-    )
-
-
-def within_bounds(parts: Parts) -> tuple[FloatArray, FloatArray]:
-    """Center and generators of a zonotope around a set: each factor over what the constraints leave it, outer."""
-    center, generators, matrix, offset = parts
-    middle, half = around(*factor_bounds(matrix, offset))
-    return center + (generators @ middle[..., None])[..., 0], generators * half[..., None, :]
-
-
-def around(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middle and half-width, rounded up, of intervals."""
-    middle = (lower + upper) / 2
-    return middle, np.maximum(upper - middle, middle - lower) * (1.0 + 2 * EPS)
-
-
 def reduce_constraints(parts: Parts, count: int, candidates: int = 2) -> Parts:
     """Parts of an enclosing set with at most ``count`` rows: outer ([SDB+16], section 4.2, after rescaling).
 
@@ -131,7 +55,7 @@ def eliminate_all(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Center, generators and what rounding may have taken from each coordinate (..., n) of a zonotope around a set with
     all batch axes: the constraints eliminated one by one, outer."""
     (center, generators, _, _), lost = _eliminated(parts, 0, 1)
-    return center, parallel.drop_zero(generators), lost
+    return center, redundancy.drop_zero(generators), lost
 
 
 def _eliminated(parts: Parts, count: int, candidates: int) -> tuple[Parts, FloatArray]:
@@ -308,46 +232,5 @@ def _compact(parts: Parts, count: int) -> Parts:
     filled = matrix.any(axis=-1) | (offset != 0)
     order = np.argsort(~filled, axis=-1, kind="stable")[..., :count]
     matrix, offset = np.take_along_axis(matrix, order[..., None], axis=-2), np.take_along_axis(offset, order, axis=-1)
-    generators, matrix = without_zero_columns(generators, matrix)
+    generators, matrix = redundancy.without_zero_columns(generators, matrix)
     return center, generators, matrix, offset
-
-
-def without_zero_columns(generators: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns that are zero in both are left out (in a batch: as far as all sets have them): exact."""
-    n = generators.shape[-2]
-    lifted = parallel.drop_zero(np.concatenate([generators, matrix], axis=-2))
-    return lifted[..., :n, :], lifted[..., n:, :]
-
-
-def simplify(parts: Parts) -> Parts:
-    """The same set without rows and columns that say nothing: exact.
-
-    Rows go that are zero, that repeat another one times a number (up to 8 ulps, as ``parallel``), and that only tie
-    down a factor of their own which they leave inside its bounds (a cut that does not cut). Columns of ``[G; A]`` that
-    are zero go, parallel ones are merged. A row ``0·β = b`` that cannot hold stays.
-    """
-    center, generators, matrix, offset = common_batch(parts)
-    n = generators.shape[-2]
-    matrix, offset = _without_slack_rows(generators, matrix, offset)
-    # Rows that repeat others are columns of the transposed system.
-    system = np.concatenate([matrix, offset[..., None]], axis=-1)
-    merged = np.swapaxes(parallel.merge_parallel(np.swapaxes(system, -1, -2)), -1, -2)
-    filled = np.asarray(merged.any(axis=-1))
-    system = np.where(filled[..., None], system, 0.0)
-    order = np.argsort(~filled, axis=-1, kind="stable")[..., : int(filled.sum(axis=-1).max(initial=0))]
-    system = np.take_along_axis(system, order[..., None], axis=-2)
-    lifted = parallel.merge_parallel(np.concatenate([generators, system[..., :-1]], axis=-2))
-    generators, matrix = without_zero_columns(lifted[..., :n, :], lifted[..., n:, :])
-    return center, generators, matrix, system[..., -1]
-
-
-def _without_slack_rows(
-    generators: FloatArray, matrix: FloatArray, offset: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Rows set to 0 whose own factor (no generator, in no other row) can take up all that the others do."""
-    size = np.abs(matrix)
-    own: BoolArray = ~generators.any(axis=-2) & ((matrix != 0).sum(axis=-2) == 1)
-    slack = np.where(own[..., None, :], size, 0.0).max(axis=-1, initial=0.0)
-    total = size.sum(axis=-1) - slack + np.abs(offset)
-    idle = np.asarray((slack > 0) & (total <= slack))
-    return np.where(np.expand_dims(idle, -1), 0.0, matrix), np.where(idle, 0.0, offset)

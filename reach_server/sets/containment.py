@@ -1,12 +1,17 @@
-"""Zonotope in zonotope, and are two zonotopes disjoint? Answers for a whole batch first, then linear programs."""
+"""Does a set lie in another, and are two zonotopes disjoint? Answers for a whole batch first, then linear programs."""
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
+from scipy.sparse import block_array, csr_array, eye_array, kron
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.sets import outline, support
+from reach_server.sets.kernels import membership
+from reach_server.sets.parts import Parts, at, batch_of, common_batch
 
 #: By how much, relative to the outer set's reach, a set may stick out and still count as contained.
 SLACK = 1e-9
@@ -183,3 +188,99 @@ def _separating(shift: FloatArray, generators: FloatArray) -> FloatArray:
     if solution.status != 0 or solution.x is None:
         return np.zeros(n)
     return np.asarray(solution.x[:n] / width)
+
+
+def constrained_contains(outer: Parts, inner: Parts) -> BoolArray:
+    """True (...) where ``inner`` certainly lies in ``outer``, up to 1e-7 of its size, the rounding of the centers and
+    1e-12 of the generators of ``inner``; False: not shown. An empty ``inner`` lies in all.
+
+    In the plane the outlines decide, and in one dimension the intervals; beyond, a linear program for each pair.
+    """
+    batch = batch_of(outer, inner)
+    empty = support.certainly_empty(inner)
+    far = np.abs(outer[0]) + np.abs(inner[0])
+    if outer[0].shape[-1] == 1:
+        reach, inner_reach = (np.abs(parts[1]).sum(axis=-1) for parts in (outer, inner))
+        slack = PROGRAM_SLACK * reach + 4 * EPS * far
+        slack = slack + outline.ROUNDING * inner_reach
+        low, high = support.interval_hull(outer)
+        inner_low, inner_high = support.interval_hull(inner)
+        inside = ((low <= inner_low + slack) & (inner_high <= high + slack)).all(axis=-1)
+        return np.broadcast_to(inside & ~support.certainly_empty(outer) | empty, batch)
+    if outer[0].shape[-1] == 2:
+        mine, theirs = outline.outline(*outer), outline.outline(*inner)
+        size, inner_size = (np.abs(parts[1]).sum(axis=(-2, -1)) for parts in (outer, inner))
+        size = size + (8 * EPS * far.sum(axis=-1) + outline.ROUNDING * inner_size) / PROGRAM_SLACK
+        inside = _polygon_contains(mine.normals, mine.heights, size, theirs.outer)
+        return np.broadcast_to((inside & mine.exact & ~mine.empty) | empty, batch)
+    outer, inner = common_batch(outer, batch), common_batch(inner, batch)
+    found = np.array(np.broadcast_to(empty, batch))
+    for place in np.argwhere(~found):
+        found[tuple(place)] = _contains(at(outer, tuple(place)), at(inner, tuple(place)))
+    return found
+
+
+def _polygon_contains(normals: FloatArray, heights: FloatArray, size: FloatArray, vertices: FloatArray) -> BoolArray:
+    """True (...) where all ``vertices`` (..., V, 2) keep ``normals`` (..., K, 2) below ``heights`` (..., K), up to 1e-7
+    of ``size`` (...)."""
+    reach = (vertices @ np.swapaxes(normals, -1, -2)).max(axis=-2)
+    return np.asarray((reach <= heights + PROGRAM_SLACK * size[..., None]).all(axis=-1))
+
+
+def _contains(outer: Parts, inner: Parts) -> bool:
+    """True where the set ``inner`` certainly lies in ``outer``, up to 1e-7 of its size; False: not shown.
+
+    Sufficient: an affine map of the inner set's factors, ``β = γ + Γξ``, that meets ``c + Gβ = c' + G'ξ`` and ``Aβ =
+    b`` wherever ``A'ξ = b'`` (so up to multiples of those rows), with ``|γ| + |Γ| 1 <= 1``. For zonotopes this is
+    [ST19], theorem 3; one linear program.
+    """
+    center, generators, matrix, offset = outer
+    inner_center, inner_generators, inner_matrix, inner_offset = inner
+    if not inner_generators.any():
+        # A point, if it is anything.
+        return bool(membership.reach(*outer, inner_center)[0])
+    size = np.abs(generators).sum(axis=1)
+    rounding = 4 * EPS * (np.abs(center) + np.abs(inner_center))
+    # Far away, the centers are rounded by more than the solver's accuracy: the set is enlarged by a box of that.
+    far = rounding > PROGRAM_SLACK * size
+    blur = (np.where(far, rounding, 0.0) * np.eye(len(center)))[:, far]
+    generators = np.concatenate([generators, blur], axis=1)
+    matrix = np.concatenate([matrix, np.zeros((len(matrix), blur.shape[1]))], axis=1)
+    g, k = generators.shape[1], inner_generators.shape[1]
+    stacked = np.concatenate([generators, matrix])
+    columns = np.concatenate([inner_generators, np.zeros((len(matrix), k))])
+    shift = np.concatenate([inner_center - center, offset])
+    size = np.abs(stacked).sum(axis=1)
+    # Where the outer set has no size, what the other one has there is all that counts.
+    size = np.where(size > 0, size, np.abs(columns).sum(axis=1) + np.abs(shift))
+    size = np.where(size > 0, size, 1.0)
+    stacked, columns, shift = stacked / size[:, None], columns / size[:, None], shift / size
+    inner_matrix, inner_offset = support.unit_rows(inner_matrix, inner_offset)
+    rows, inner_rows = len(stacked), len(inner_matrix)
+    if not g:
+        return False
+    # Unknowns: Γ and γ as differences of nonnegative ones (column by column), multiples of the inner rows, the row sum.
+    table = np.column_stack([inner_matrix, -inner_offset[:, None]])
+    maps = kron(csr_array(stacked), eye_array(k + 1))
+    equations: list[Any] = [maps, -maps]
+    if inner_rows:
+        equations.append(-kron(eye_array(rows), csr_array(table.T)))
+    sums = kron(eye_array(g), csr_array(np.ones((1, k + 1))))
+    inequalities: list[Any] = [sums, sums]
+    if inner_rows:
+        inequalities.append(csr_array((g, rows * inner_rows)))
+    wide = 2 * g * (k + 1)
+    upper: Any = block_array([[*inequalities, csr_array(-np.ones((g, 1)))]])
+    equal: Any = block_array([[*equations, csr_array((rows * (k + 1), 1))]])
+    bounds: list[tuple[float | None, float | None]] = [(0, None)] * wide
+    bounds += [*[(None, None)] * (rows * inner_rows), (0, None)]
+    solution = linprog(
+        np.append(np.zeros(wide + rows * inner_rows), 1.0),
+        A_ub=upper,
+        b_ub=np.zeros(g),
+        A_eq=equal,
+        b_eq=np.column_stack([columns, shift]).ravel(),
+        bounds=bounds,
+        method="highs",
+    )
+    return bool(solution.status == 0 and solution.fun is not None and solution.fun <= 1 + PROGRAM_SLACK)

@@ -1,4 +1,4 @@
-"""Zonotope and strip: enclosures of ``{x in Z : lower <= H x <= upper}``."""
+"""Cuts with strips, ``{x in Z : lower <= H x <= upper}``: enclosing zonotopes, and constrained ones with a row more."""
 
 import math
 from typing import Literal, NamedTuple, get_args
@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reach_server.numeric.checks import SetError, checked, checked_batch, checked_bounds
-from reach_server.numeric.intervals import Interval, add_down, add_up
+from reach_server.numeric.intervals import Interval
 from reach_server.numeric.jit import reduction_kernel, stacked
+from reach_server.numeric.rounding import add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets.kernels.strip import MISSED, WORK, Flags, narrow_one, tightened
+from reach_server.sets.parts import Parts, batch_of
 from reach_server.sets.polygon import zonotope_area
 
 StripMethod = Literal["tight", "frobenius"]
@@ -71,7 +73,7 @@ def _sum(radius: FloatArray, excess: FloatArray) -> FloatArray:
 
 class Narrowed(NamedTuple):
     """Zonotopes after their cuts: ``center`` (..., z), ``generators`` (..., z, g + C), zero beyond the first ``used``
-    (...) columns, and the flags ``acted`` (..., C) of the strips (``ACTED``, ``MISSED`` in ``kernels``)."""
+    (...) columns, and the flags ``acted`` (..., C) of the strips (``ACTED``, ``MISSED`` in ``kernels.strip``)."""
 
     center: FloatArray
     generators: FloatArray
@@ -113,9 +115,9 @@ def intersect_strip(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Center, generators (..., n, g + 1) of a zonotope around the intersection, and where it is certainly empty.
 
-    An outer bound; ``frobenius`` and ``tight`` are those of ``kernels.narrow_one``: the paper's Algorithm 2, whose
-    result may be larger than the set, and the best of some λ, whose result never is. Sizes are compared by the area in
-    ``plane`` (or of a planar set) times the widths of the other coordinates; without a plane by all widths.
+    An outer bound; ``frobenius`` and ``tight`` are those of ``kernels.strip.narrow_one``: the paper's Algorithm 2,
+    whose result may be larger than the set, and the best of some λ, whose result never is. Sizes are compared by the
+    area in ``plane`` (or of a planar set) times the widths of the other coordinates; without a plane by all widths.
 
     An empty intersection, and a strip that does not cut, return the set unchanged (with a zero generator).
     """
@@ -124,6 +126,30 @@ def intersect_strip(
         np.ones(1, dtype=bool), method=method, plane=plane,
     )  # fmt: skip
     return found.center, found.generators, (found.acted[..., 0] & MISSED) != 0
+
+
+def cut_constrained(parts: Parts, normals: FloatArray, lower: FloatArray, upper: FloatArray) -> Parts:
+    """The parts with ``lower <= normals @ x <= upper`` (..., K, n), (..., K), K factors and rows more: exact.
+
+    The strips are tightened to the zonotope; one that is certainly missed gets a row that cannot be met.
+    """
+    center, generators, own_matrix, own_offset = parts
+    q, r, cuts, empty = strip_bounds(center[..., None, :], generators[..., None, :, :], normals, lower, upper)
+    acts = cuts & ~empty
+    heights = normals @ generators
+    middle = (normals @ center[..., None])[..., 0]
+    batch = np.broadcast_shapes(r.shape[:-1], batch_of(parts))
+    count, g = normals.shape[-2], generators.shape[-1]
+    rows = own_matrix.shape[-2]
+    matrix = np.zeros((*batch, rows + count, g + count))
+    offset = np.zeros((*batch, rows + count))
+    matrix[..., :rows, :g] = own_matrix
+    offset[..., :rows] = own_offset
+    matrix[..., rows:, :g] = np.where(acts[..., None], heights, 0.0)
+    matrix[..., rows:, g:] = np.where(acts, -r, 0.0)[..., None] * np.eye(count)
+    # A missed strip gets the row 0·β = 1.
+    offset[..., rows:] = np.where(empty, 1.0, np.where(acts, q - middle, 0.0))
+    return center, np.concatenate([generators, np.zeros((*generators.shape[:-1], count))], axis=-1), matrix, offset
 
 
 def narrow(
@@ -140,7 +166,7 @@ def narrow(
     """Zonotopes around sets (..., z), (..., z, g) cut by those of C strips that are ``active`` (..., C): outer.
 
     normals (..., C, n) over the first n <= z coordinates, lower and upper (..., C). There is room for one column more a
-    strip: ``tight`` cuts without one where that is used up. See ``kernels.narrow_one``.
+    strip: ``tight`` cuts without one where that is used up. See ``kernels.strip.narrow_one``.
     """
     batch = np.broadcast_shapes(
         center.shape[:-1], generators.shape[:-2], normals.shape[:-2], lower.shape[:-1], upper.shape[:-1],

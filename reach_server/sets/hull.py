@@ -1,9 +1,10 @@
-"""Zonotopes around the convex hull of two."""
+"""Convex hulls of two sets: a zonotope around it, and the constrained zonotope that it is."""
 
 import numpy as np
 
 from reach_server.numeric.checks import stack_columns
 from reach_server.numeric.types import FloatArray
+from reach_server.sets.parts import Parts, batch_of, joined_constraints
 
 
 def zonotope_hull(
@@ -46,3 +47,30 @@ def _partners(first: FloatArray, second: FloatArray) -> np.ndarray[tuple[int, ..
         np.put_along_axis(likeness, row[..., None], -1.0, axis=-2)
         np.put_along_axis(likeness, column[..., None], -1.0, axis=-1)
     return partner
+
+
+def constrained_hull(first: Parts, second: Parts) -> Parts:
+    """The parts of the least convex set around both: exact [RK22, theorem 5].
+
+    ``x = λ x1 + (1 - λ) x2`` with ``λ = (1 + ξ)/2``; the factors are (λβ1, (1 - λ)β2, ξ, slacks).
+    """
+    n, g1, g2 = first[1].shape[-2], first[1].shape[-1], second[1].shape[-1]
+    g = g1 + g2
+    batch = batch_of(first, second)
+    half_shift = np.broadcast_to((first[0] - second[0])[..., None] / 2, (*batch, n, 1))
+    generators = stack_columns(first[1], second[1], half_shift, np.zeros((n, 2 * g)))
+    joined, offset = joined_constraints(first, second)
+    rows = joined.shape[-2]
+    first_rows = first[2].shape[-2]
+    matrix = np.zeros((*batch, rows + 2 * g, 3 * g + 1))
+    right = np.full((*batch, rows + 2 * g), -0.5)
+    matrix[..., :rows, :g] = joined
+    sign = np.where(np.arange(rows) < first_rows, -0.5, 0.5)
+    matrix[..., :rows, g] = sign * offset
+    right[..., :rows] = offset / 2
+    # |λβ1| <= λ and |(1 - λ)β2| <= 1 - λ, each side with a slack.
+    own = np.where(np.arange(g) < g1, -0.5, 0.5)
+    matrix[..., rows:, :g] = np.concatenate([np.eye(g), -np.eye(g)])
+    matrix[..., rows:, g] = np.concatenate([own, own])
+    matrix[..., rows:, g + 1 :] = np.eye(2 * g)
+    return (first[0] + second[0]) / 2, generators, matrix, right

@@ -1,13 +1,15 @@
-"""Zonotopes around the intersection of a zonotope with a linear preimage of another, and with many half-spaces."""
+"""Intersections of a set with a linear preimage of another, and zonotopes around those with many half-spaces."""
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.checks import stack_columns
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import halfspace as strips
 from reach_server.sets.containment import face_normals
-from reach_server.sets.parallel import drop_zero
+from reach_server.sets.parts import Parts, joined_constraints
 from reach_server.sets.precise import product, remainder
+from reach_server.sets.redundancy import drop_zero
 
 #: Faces of a planar set that are cut with: those of its longest generators.
 FACES = 6
@@ -89,3 +91,20 @@ def _strips(
     reach = reach + 2 * (k + g + 4) * EPS * (np.abs(normals) @ scale[..., None])[..., 0]
     mapped = normals @ matrix
     return [(mapped[..., j, :], heights[..., j], reach[..., j]) for j in range(normals.shape[-2])]
+
+
+def intersect_constrained(parts: Parts, other: Parts, matrix: FloatArray | None) -> Parts:
+    """The parts of ``{x in <c, G, A, b> : Rx in other}`` for R = ``matrix`` (..., k, n), None: identity; exact
+    [SDB+16]."""
+    center, generators = parts[:2]
+    n = generators.shape[-2]
+    joined, offset = joined_constraints(parts, other)
+    # Rows that cancel out must vanish: what rounding leaves of them would tie down factors.
+    own = generators if matrix is None else product(matrix, generators)
+    heights = stack_columns(own, -other[1])
+    right = remainder(other[0], np.eye(n) if matrix is None else matrix, center)
+    batch = np.broadcast_shapes(joined.shape[:-2], offset.shape[:-1], heights.shape[:-2], right.shape[:-1])
+    rows = [np.broadcast_to(a, batch + a.shape[-2:]) for a in (joined, heights)]
+    offsets = [np.broadcast_to(a, batch + a.shape[-1:]) for a in (offset, right)]
+    generators = stack_columns(generators, np.zeros((n, other[1].shape[-1])))
+    return center, generators, np.concatenate(rows, axis=-2), np.concatenate(offsets, axis=-1)

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from reach_server.numeric.checks import SetError
-from reach_server.numeric.intervals import EPS, sum_up
+from reach_server.numeric.checks import SetError, stack_rows
+from reach_server.numeric.rounding import EPS, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 
 ReductionMethod = Literal["girard", "combastel", "pca", "scott"]
@@ -35,6 +35,22 @@ def reduce_generators(generators: FloatArray, count: int, method: ReductionMetho
     if method not in methods:
         raise SetError(f"method is {method!r}, expected one of {', '.join(methods)}")
     return methods[method](generators, count)
+
+
+def reduce_lifted(
+    generators: FloatArray, matrix: FloatArray, count: int, method: ReductionMethod
+) -> tuple[FloatArray, FloatArray]:
+    """Generators (..., n, g) and constraint matrix (..., c, g) of an enclosing set with at most ``max(count, n + c)``
+    columns: outer; the number of columns stays where there are few enough.
+
+    The zonotope of ``(Gβ, Aβ)`` is enclosed as one and the constraints are kept [SDB+16, section 4.3].
+    """
+    n, rows = generators.shape[-2], matrix.shape[-2]
+    lifted = stack_rows(generators, matrix)
+    # Powers of two, which round nothing: generators of unlike coordinates and rows are ranked alike.
+    unit = _power_of_two(np.abs(lifted).sum(axis=-1, keepdims=True))
+    reduced = unit * reduce_generators(lifted / unit, max(count, n + rows), method)
+    return reduced[..., :n, :], reduced[..., n:, :]
 
 
 def girard(generators: FloatArray, count: int) -> FloatArray:

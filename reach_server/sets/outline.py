@@ -16,11 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from reach_server.numeric.jit import kernel, stacked
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.sets import polygon as planar
 from reach_server.sets import support
-from reach_server.sets.kernels import simplex
-from reach_server.sets.kernels.simplex import EMPTY, EPS, factorise, load, maximise
+from reach_server.sets.kernels.certificates import dependent_rows_fail
+from reach_server.sets.kernels.simplex import EMPTY, maximise
+from reach_server.sets.kernels.tableau import factorise, load
+from reach_server.sets.parts import Parts, batch_of
 
 #: An outline is exact if no edge lies farther out than this, relative to the greatest extent of the set.
 EXACT = 1e-9
@@ -84,7 +87,7 @@ def trace(
             matrix[p if matrix.shape[0] > 1 else 0], offset[p if offset.shape[0] > 1 else 0], rows, scale, tableau
         )  # fmt: skip
         rank = factorise(rows, tableau, basis, basic, False)
-        if simplex.dependent_rows_fail(rows, tableau, rank, ray):
+        if dependent_rows_fail(rows, tableau, rank, ray):
             numbers[p] = -1
             continue
         c = center[p if center.shape[0] > 1 else 0]
@@ -271,3 +274,30 @@ def outline(center: FloatArray, generators: FloatArray, matrix: FloatArray, offs
 def _widened(vertices: FloatArray, width: int) -> FloatArray:
     missing = max(width - vertices.shape[1], 0)
     return np.concatenate([vertices, np.repeat(vertices[:, -1:], missing, axis=1)], axis=1)
+
+
+def polygon_around(parts: Parts, count: int) -> FloatArray:
+    """``count`` vertices (..., count, 2) of polygons around planar sets, certified in as many directions: outer; NaN
+    where a set is certainly empty."""
+    center, generators, matrix, offset = parts
+    # About the center: far from the origin, products with the directions would round away the shape.
+    found = support.solve(np.zeros(2), generators, matrix, offset, planar.directions(count))
+    heights = found.bound + 4 * EPS * np.abs(center).sum(axis=-1)[..., None]
+    vertices = center[..., None, :] + planar.outer_polygon(heights)
+    return np.where(found.empty[..., None], np.nan, vertices)
+
+
+def area_bracket(parts: Parts) -> tuple[FloatArray, FloatArray]:
+    """(inner, outer) bounds (...) of the area of planar sets: of the hull of attained points, less what these may lie
+    outside, and of the outer polygon."""
+    _, generators, matrix, offset = parts
+    # About the origin: far from it, rounding of the vertices would show.
+    found = outline(np.zeros(2), generators, matrix, offset)
+    inner, outer = (planar.polygon_area(np.nan_to_num(v)) for v in (found.inner, found.outer))
+    # Attained points are members up to what the linear programs are accurate to: a strip along the outline.
+    lost = ROUNDING * np.abs(generators).sum(axis=(-2, -1))
+    edges = np.nan_to_num(np.roll(found.inner, -1, axis=-2) - found.inner)
+    inner = inner * (1 - 1e-12) - lost * (np.sqrt((edges**2).sum(axis=-1)).sum(axis=-1) + 4 * lost)
+    inner, outer = np.maximum(np.minimum(inner, outer), 0.0), np.maximum(outer, 0.0)
+    batch = batch_of(parts)
+    return np.broadcast_to(inner, batch), np.broadcast_to(outer * (1 + 4 * EPS), batch)

@@ -8,8 +8,7 @@ import numpy as np
 
 from reach_server.numeric.jit import kernel, reduction_kernel, stacked
 from reach_server.numeric.types import FloatArray
-from reach_server.sets.kernels.planar import clip_one, polygon_of
-from reach_server.sets.kernels.strip import pair_area
+from reach_server.sets.kernels.planar import clip_one, pair_area, polygon_of
 
 #: Determinants that are computed at once.
 CHUNK = 50_000

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 
 #: Splits a number into two halves of 26 digits, whose products are exact.

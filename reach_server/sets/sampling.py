@@ -1,14 +1,62 @@
-"""Members of constrained zonotopes, drawn by linear programs and, in the plane, from their outlines."""
+"""Members of sets: of zonotopes by tilings, of constrained ones by linear programs and, in the plane, by outlines."""
+
+import math
+from typing import Literal, get_args
 
 import numpy as np
 
+from reach_server.numeric.checks import SetError, checked_count
 from reach_server.numeric.types import FloatArray
-from reach_server.sets import support
-from reach_server.sets.constraint_reduction import Indices, Parts
+from reach_server.sets import outline, support, tiling
 from reach_server.sets.kernels import simplex
+from reach_server.sets.parts import Indices, Parts, batch_of, common_batch
+
+SampleMethod = Literal["inside", "boundary", "factors"]
 
 #: Vertices of the factors' polytope that mixtures are made of.
 VERTICES = 12
+
+
+def asked(count: int, how: SampleMethod) -> tuple[int, SampleMethod]:
+    """The number of samples and the way to draw them; ``SetError`` where there is no such number or way."""
+    if how not in get_args(SampleMethod):
+        raise SetError(f"how is {how!r}, expected one of {', '.join(get_args(SampleMethod))}")
+    return checked_count(count, "count"), how
+
+
+def sample_zonotopes(
+    center: FloatArray, generators: FloatArray, rng: np.random.Generator, count: int, how: SampleMethod
+) -> FloatArray:
+    """Members (..., count, n) of zonotopes, exact up to rounding; see ``tiling``."""
+    draws = {"inside": tiling.inner_factors, "boundary": tiling.boundary_factors, "factors": tiling.any_factors}
+    n, g = generators.shape[-2:]
+    batch = np.broadcast_shapes(center.shape[:-1], generators.shape[:-2])
+    sets = math.prod(batch)
+    flat = np.broadcast_to(generators, (*batch, n, g)).reshape(sets, n, g)
+    factors = draws[how](flat, rng, count).reshape(*batch, count, g)
+    return np.asarray(center[..., None, :] + factors @ np.swapaxes(generators, -1, -2))
+
+
+def sample_constrained(parts: Parts, rng: np.random.Generator, count: int, how: SampleMethod) -> FloatArray:
+    """Members (..., count, n) of constrained zonotopes, exact up to 1e-9 of the set's size; NaN where it is certainly
+    empty."""
+    batch = batch_of(parts)
+    size, n = math.prod(batch), parts[1].shape[-2]
+    if how != "factors" and n == 2:
+        vertices = outline.outline(*parts).inner
+        vertices = vertices.reshape(size, *vertices.shape[-2:])
+        return from_outline(vertices, rng, count, boundary=how == "boundary").reshape(*batch, count, 2)
+    center, generators, matrix, offset = (a.reshape(size, *a.shape[len(batch) :]) for a in common_batch(parts))
+    if how == "factors":
+        factors = mixtures(matrix, offset, rng, count)
+    else:
+        middle, factors = shots((center, generators, matrix, offset), rng, count)
+        if how == "inside":
+            part = rng.random((size, count, 1)) ** (1 / n)
+            factors = middle + part * (factors - middle)
+    points = center[:, None] + factors @ np.swapaxes(generators, -1, -2)
+    points = np.where(support.certainly_empty(parts).reshape(size, 1, 1), np.nan, points)
+    return np.asarray(points.reshape(*batch, count, n))
 
 
 def factor_vertices(matrix: FloatArray, offset: FloatArray, rng: np.random.Generator, count: int) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from reach_server.numeric.jit import stacked
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.sets.kernels import simplex
+from reach_server.sets.parts import Parts, batch_of
 
 #: Iterations of one linear program; a few dozen are used.
 ITERATIONS = 2000
@@ -115,6 +116,24 @@ def constrained_support(
     return solve(center, generators, matrix, offset, directions, iterations).bound
 
 
+def parts_support(parts: Parts, directions: FloatArray) -> FloatArray:
+    """Upper bound (..., K) of ``d·x`` for directions (..., K, n): outer; -inf where the set is certainly empty."""
+    found = solve(*parts, directions)
+    return np.where(found.empty, -np.inf, found.bound)
+
+
+def interval_hull(parts: Parts) -> tuple[FloatArray, FloatArray]:
+    """Least box around constrained zonotopes, (lower (..., n), upper (..., n)): outer; (inf, -inf) where the set is
+    certainly empty."""
+    n = parts[1].shape[-2]
+    unit = np.eye(n)
+    bounds = parts_support(parts, np.concatenate([unit, -unit]))
+    lower, upper = -bounds[..., n:], bounds[..., :n]
+    # Of a set that only rounding made empty the bounds may cross: the hull of both.
+    crossed = (lower > upper) & np.isfinite(lower)
+    return np.where(crossed, upper, lower), np.where(crossed, lower, upper)
+
+
 def feasible(matrix: FloatArray, offset: FloatArray, iterations: int = ITERATIONS) -> Solution:
     """Some vertex of ``{Aβ = b, |β| <= 1}``, or the proof that there is none: ``factors`` (..., 1, g), ``ray``."""
     g = matrix.shape[-1]
@@ -136,6 +155,12 @@ def emptiness_certificate(matrix: FloatArray, offset: FloatArray, iterations: in
     1e-9 of its terms: what rounding in A and b may have made up is no contradiction.
     """
     return farkas(matrix, offset, iterations).empty
+
+
+def certainly_empty(parts: Parts) -> BoolArray:
+    """True (...) where constrained zonotopes are certainly empty; see ``emptiness_certificate``."""
+    empty = emptiness_certificate(*parts[2:])
+    return np.broadcast_to(empty, batch_of(parts))
 
 
 def unit_rows(matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,7 @@
 """``Zonotope``: ``{c + Gβ : |β| <= 1}``, any number of leading batch axes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,25 +11,22 @@ from reach_server.numeric.checks import (
     batch_shape,
     block_diagonal,
     checked,
-    checked_axes,
     checked_batch,
-    checked_bounds,
-    checked_count,
     checked_dimension,
     stack_columns,
 )
-from reach_server.numeric.intervals import EPS, Interval, add_down, add_up, sum_up
+from reach_server.numeric.rounding import EPS, add_down, add_up, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.sets import containment, parallel, support, tiling, volume
+from reach_server.sets import containment, redundancy, sampling, support, volume
 from reach_server.sets import halfspace as strips
 from reach_server.sets import hull as hulls
 from reach_server.sets import intersection as intersections
 from reach_server.sets import order_reduction as reduction
 from reach_server.sets import polygon as planar
+from reach_server.sets._shared_verbs import SharedVerbs
 from reach_server.sets.approximation import Direction, compose
-from reach_server.sets.kernels import membership
-
-SampleMethod = Literal["inside", "boundary", "factors"]
+from reach_server.sets.parts import Parts, without_rows
+from reach_server.sets.sampling import SampleMethod
 
 
 @runtime_checkable
@@ -49,7 +45,7 @@ class ConvexSet(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Zonotope:
+class Zonotope(SharedVerbs):
     """Zonotopes with ``center`` (..., n) and ``generators`` (..., n, g); never empty.
 
     ``direction`` says how the set relates to the true result of the operations that made it; every operation composes
@@ -79,72 +75,8 @@ class Zonotope:
         object.__setattr__(self, "generators", generators)
 
     @classmethod
-    def box(cls, lower: ArrayLike, upper: ArrayLike) -> Self:
-        """The box from ``lower`` to ``upper`` (..., n): exact, half-widths rounded outwards.
-
-        Raises ``SetError`` where ``lower`` is greater than ``upper``.
-        """
-        high = checked_dimension(checked(upper, "upper", (None,)), -1, "upper")
-        low = checked(lower, "lower", (high.shape[-1],))
-        checked_batch(low, 1, "lower", high.shape[:-1])
-        if (low > high).any():
-            raise SetError("lower is greater than upper somewhere")
-        return cls.from_interval(Interval(low, high))
-
-    @classmethod
-    def from_interval(cls, interval: Interval | tuple[ArrayLike, ArrayLike]) -> Self:
-        """The box of ``interval``, an ``Interval`` of shape (..., n) or a pair (lower, upper) of such: exact, as
-        ``box``.
-
-        Raises ``SetError`` for empty and for unbounded intervals.
-        """
-        if not isinstance(interval, Interval):
-            interval = Interval(*checked_bounds(interval, "interval", (None,)))
-        checked_dimension(checked(interval.lower, "interval", (None,), infinite=True), -1, "interval")
-        if interval.is_empty().any():
-            raise SetError("interval is empty somewhere: a zonotope is not")
-        if not (np.isfinite(interval.lower) & np.isfinite(interval.upper)).all():
-            raise SetError("interval is unbounded somewhere: a zonotope is not")
-        return cls(interval.midpoint, interval.radius[..., None] * np.eye(interval.shape[-1]))
-
-    @classmethod
-    def point(cls, x: ArrayLike) -> Self:
-        """The set of the point ``x`` (..., n) alone: exact."""
-        center = checked_dimension(checked(x, "x", (None,)), -1, "x")
-        return cls(center, np.zeros((center.shape[-1], 0)))
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """The batch axes."""
-        return batch_shape((self.center, 1), (self.generators, 2))
-
-    @property
-    def dimension(self) -> int:
-        """The dimension n of the space."""
-        return int(self.center.shape[-1])
-
-    def linear_map(self, matrix: ArrayLike) -> Self:
-        """The image under ``matrix`` (..., k, n): exact."""
-        m = self._matrix(matrix)
-        return self._with((m @ self.center[..., None])[..., 0], m @ self.generators)
-
-    def affine_map(self, matrix: ArrayLike, offset: ArrayLike) -> Self:
-        """The image ``{Mx + t}`` for ``matrix`` (..., k, n) and ``offset`` (..., k): exact."""
-        return self.linear_map(matrix).translate(offset)
-
-    def scale(self, factor: ArrayLike) -> Self:
-        """The set of ``factor * x`` for ``factor`` (...), of either sign: exact."""
-        f = self._checked(factor, "factor", ())
-        return self._with(f[..., None] * self.center, f[..., None, None] * self.generators)
-
-    def translate(self, offset: ArrayLike) -> Self:
-        """The set moved by ``offset`` (..., n): exact."""
-        return self._with(self.center + self._checked(offset, "offset", (self.dimension,)), self.generators)
-
-    def project(self, axes: Sequence[int]) -> Self:
-        """The projection on the coordinates ``axes``, in that order: exact."""
-        kept = checked_axes(axes, self.dimension)
-        return self._with(self.center[..., kept], self.generators[..., kept, :])
+    def _free(cls, center: FloatArray, generators: FloatArray) -> Self:
+        return cls(center, generators)
 
     def minkowski_sum(self, other: "Zonotope") -> Self:
         """``{a + b}`` for a of this set and b of ``other``: exact [Gir05]; batch axes are broadcast."""
@@ -178,15 +110,15 @@ class Zonotope:
     def intersect_halfspace(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
         """An enclosure of the part with ``Hx <= q`` for H (..., n), q (...) (q = inf: inactive): outer; unchanged where
         that part is certainly empty."""
-        return self._cut(H, np.asarray(-np.inf), self._checked(q, "q", (), infinite=True), method)
+        return self._cut(H, np.asarray(-np.inf), self._argument(q, "q", (), infinite=True), method)
 
     def intersect_tangents(self, H: ArrayLike, q: ArrayLike, method: strips.StripMethod = "tight") -> Self:
         """An enclosure of the part with ``Hx <= q`` for all rows of H (..., K, n), q (..., K); inf: inactive; outer.
 
         The cuts follow in the order given; it matters. Where one is certainly missed it changes nothing.
         """
-        normals = self._checked(H, "H", (None, self.dimension))
-        bounds = self._checked(q, "q", (normals.shape[-2],), infinite=True)
+        normals = self._argument(H, "H", (None, self.dimension))
+        bounds = self._argument(q, "q", (normals.shape[-2],), infinite=True)
         center, generators = intersections.intersect_halfspaces(
             self.center, self.generators, normals, bounds, strips.known(method)
         )
@@ -206,7 +138,7 @@ class Zonotope:
         is inactive; outer. Algorithm 2 of [AJS+22] with its parallel columns λr and λG_L added up: the strip
         ``|J(x - c) + h0 + mid| <= r + rad``, rounded outwards.
         """
-        normal = self._checked(J, "J", (self.dimension,))
+        normal = self._argument(J, "J", (self.dimension,))
         return self._cut(normal, *strips.linearised(normal, self.center, h0, remainder, r, self.batch), method)
 
     def intersection(self, other: "Zonotope", matrix: ArrayLike | None = None) -> Self:
@@ -228,12 +160,12 @@ class Zonotope:
     def misses_strip(self, H: ArrayLike, q: ArrayLike, r: ArrayLike) -> BoolArray:
         """True (...) where no point of the set has ``|Hx - q| <= r``, for H (..., n), q and r (...): certain where
         True, by a relative margin of 1e-9."""
-        normal = self._checked(H, "H", (self.dimension,))
+        normal = self._argument(H, "H", (self.dimension,))
         lower, upper = strips.bounds(q, r, self.batch)
         return np.asarray(strips.strip_bounds(self.center, self.generators, normal, lower, upper)[3])
 
     def _cut(self, H: ArrayLike, lower: FloatArray, upper: FloatArray, method: strips.StripMethod) -> Self:
-        normal = self._checked(H, "H", (self.dimension,))
+        normal = self._argument(H, "H", (self.dimension,))
         center, generators, _ = strips.intersect_strip(
             self.center, self.generators, normal, lower, upper, method=strips.known(method)
         )
@@ -249,14 +181,14 @@ class Zonotope:
         return self._with(self.center, generators, Direction.EXACT if same else Direction.OUTER)
 
     def simplify(self) -> Self:
-        """The same set without zero generators and with parallel ones merged: exact (see ``parallel``). A batch keeps
+        """The same set without zero generators and with parallel ones merged: exact (see ``redundancy``). A batch keeps
         as many generators as its largest set needs."""
-        return self._with(self.center, parallel.drop_zero(parallel.merge_parallel(self.generators)))
+        return self._with(self.center, redundancy.drop_zero(redundancy.merge_parallel(self.generators)))
 
     def support(self, d: ArrayLike) -> FloatArray:
         """Greatest ``d·x`` for directions ``d`` (..., K, n), shape (..., K): exact, rounded up by ``n + g + 2`` ulps
         of ``|d|·(|c| + |G|1)``."""
-        directions = self._checked(d, "d", (None, self.dimension))
+        directions = self._argument(d, "d", (None, self.dimension))
         value = support.zonotope_support(self.center, self.generators, directions)
         size = np.abs(self.center) + np.abs(self.generators).sum(axis=-1)
         terms = sum(self.generators.shape[-2:]) + 2
@@ -276,18 +208,8 @@ class Zonotope:
 
     def volume_bracket(self) -> tuple[FloatArray, FloatArray]:
         """(inner, outer) bounds (...) of the volume, equal up to rounding where it is cheap (see ``volume``)."""
-        inner, outer = volume.volume_bracket(self.generators)
+        inner, outer = volume.zonotope_volume_bracket(self.generators)
         return np.broadcast_to(inner, self.batch), np.broadcast_to(outer, self.batch)
-
-    def area(self) -> FloatArray:
-        """Area (...) of planar sets: exact. Raises ``SetError`` in other dimensions."""
-        self._planar("area")
-        return self.volume()
-
-    def area_bracket(self) -> tuple[FloatArray, FloatArray]:
-        """(inner, outer) bounds (...) of the area of planar sets: the exact area, apart by rounding."""
-        self._planar("area_bracket")
-        return self.volume_bracket()
 
     def polygon(self, count: int | None = None) -> FloatArray:
         """Vertices (..., V, 2) of planar sets, counter-clockwise: exact, V = 2 g (1 without generators). With ``count``
@@ -296,29 +218,13 @@ class Zonotope:
         self._planar("polygon")
         if count is None:
             return planar.zonotope_polygon(self.center, self.generators)
-        if checked_count(count, "count") < 3:
-            raise SetError(f"count is {count}, expected no less than 3")
         # About the center: far from the origin, products with the directions would round away the shape.
-        around = Zonotope(np.zeros(2), self.generators).support(planar.directions(count))
+        around = Zonotope(np.zeros(2), self.generators).support(planar.directions(self._corners(count)))
         return self.center[..., None, :] + planar.outer_polygon(around)
 
     def enclosing_zonotope(self) -> "Zonotope":
         """The set itself: exact."""
         return self
-
-    def contains_point(self, x: ArrayLike) -> BoolArray:
-        """True (...) where the point ``x`` (..., n) lies in the set: exact up to 1e-7 of its size."""
-        return self._reach(x)[0]
-
-    def factors_of(self, x: ArrayLike) -> FloatArray:
-        """Factors β (..., g) with ``c + Gβ = x`` and ``|β| <= 1`` for the point ``x`` (..., n): exact up to 1e-7 of the
-        set's size; rows of NaN where the point is not in the set."""
-        return self._reach(x)[1]
-
-    def _reach(self, x: ArrayLike) -> tuple[BoolArray, FloatArray]:
-        point = self._checked(x, "x", (self.dimension,))
-        empty = np.zeros((0, self.generators.shape[-1]))
-        return membership.reach(self.center, self.generators, empty, np.zeros(0), point)
 
     def contains_set(self, other: ConvexSet) -> BoolArray:
         """True (...) where ``other`` certainly lies in this set, up to 1e-7 of its size; False: not shown.
@@ -361,27 +267,18 @@ class Zonotope:
         ``tiling``); ``factors``: independent factors, some points with all of them at their bounds. Raises ``SetError``
         for another ``how``.
         """
-        g, batch = self.generators.shape[-1], self.batch
-        draws = {"inside": tiling.inner_factors, "boundary": tiling.boundary_factors, "factors": tiling.any_factors}
-        if how not in draws:
-            raise SetError(f"how is {how!r}, expected one of {', '.join(draws)}")
-        number = checked_count(count, "count")
-        sets = int(np.prod(batch))
-        flat = np.broadcast_to(self.generators, (*batch, self.dimension, g)).reshape(sets, self.dimension, g)
-        factors = draws[how](flat, rng, number).reshape(*batch, number, g)
-        return np.asarray(self.center[..., None, :] + factors @ np.swapaxes(self.generators, -1, -2))
+        return sampling.sample_zonotopes(self.center, self.generators, rng, *sampling.asked(count, how))
+
+    @property
+    def _parts(self) -> Parts:
+        return without_rows(self.center, self.generators)
+
+    def _own_axes(self) -> tuple[tuple[FloatArray, int], ...]:
+        return (self.center, 1), (self.generators, 2)
 
     def _with(self, center: FloatArray, generators: FloatArray, *steps: Direction) -> Self:
         """A set made from this one by operations, and with operands, of these directions."""
         return type(self)(center, generators, compose(self.direction, *steps))
-
-    def _checked(
-        self, value: ArrayLike, name: str, tail: tuple[int | None, ...], *, infinite: bool = False
-    ) -> FloatArray:
-        return checked_batch(checked(value, name, tail, infinite=infinite), len(tail), name, self.batch)
-
-    def _matrix(self, matrix: ArrayLike) -> FloatArray:
-        return checked_dimension(self._checked(matrix, "matrix", (None, self.dimension)), -2, "matrix")
 
     def _checked_batch_of(self, other: "Zonotope") -> None:
         checked_batch(other.center, 1, "other", self.batch)
@@ -393,10 +290,6 @@ class Zonotope:
             raise SetError(f"other has dimension {other.dimension}, expected {self.dimension}")
         self._checked_batch_of(other)
 
-    def _planar(self, verb: str) -> None:
-        if self.dimension != 2:
-            raise SetError(f"{verb} needs a planar set, this one has dimension {self.dimension}: project it first")
-
 
 def _zonotope(other: object, verb: str) -> None:
     if not isinstance(other, Zonotope):
@@ -404,7 +297,3 @@ def _zonotope(other: object, verb: str) -> None:
             f"other is a {type(other).__name__}, {verb} of a Zonotope expects a Zonotope: "
             "convert one of the two (enclosing_zonotope, ConstrainedZonotope.from_zonotope)"
         )
-
-
-def _strip(q: ArrayLike, r: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    return strips.bounds(q, r, ())

@@ -15,8 +15,8 @@ Rounding: ``(G + 16) EPS`` times the sizes of position and increment is added to
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import leaf_kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
 
 #: Beyond this heading half-width the rotation is enclosed as a whole.

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.models.set_membership import Fitted, HullWorkspace, residual_one, room_for
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
 from reach_server.sets.kernels.girard import reduce_one
 from reach_server.tube.rotation_kernel import turn_one

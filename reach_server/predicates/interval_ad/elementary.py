@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import erf as error_function
 
-from reach_server.numeric.intervals import EPS
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.interval_ad.arithmetic import Bounds, absolute, hull_of, magnitude, signed
 from reach_server.predicates.interval_ad.quadrants import FARTHEST, Reduced, passes, reduced

@@ -7,7 +7,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.numeric.intervals import EPS, add_down, add_up
+from reach_server.numeric.rounding import EPS, add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.interface import Context
 from reach_server.predicates.interval_ad.arithmetic import Bounds, holds_zero

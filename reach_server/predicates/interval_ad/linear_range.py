@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reach_server.numeric.intervals import add_down, add_up, sum_up
+from reach_server.numeric.rounding import add_down, add_up, sum_up
 from reach_server.numeric.types import FloatArray
 
 

@@ -5,8 +5,8 @@ outwards.
 
 import numpy as np
 
-from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import leaf_kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
 
 

@@ -1,18 +1,57 @@
 """Area, outline and box of one zonotope, compiled; cut once more by strips of the position, exactly in the plane.
 
-Conventions are those of ``kernels``: the first ``used`` columns of ``generators`` (z, G) count, nothing is allocated.
+Conventions are those of ``strip``: the first ``used`` columns of ``generators`` (z, G) count, nothing is allocated.
 """
 
 import numpy as np
 
-from reach_server.numeric.jit import inline, leaf_reduction_kernel
+from reach_server.numeric.jit import inline, inline_reduction, leaf_reduction_kernel
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.sets.kernels.strip import pair_area, row_reach, row_shear
 
 #: Sides of an outline are moved outwards by this part of the size of the set, more than float32 can take back.
 OUTWARDS = 1e-6
 #: Distances over which Shell's method sorts; insertion alone would be slow for many columns.
 GAPS = (701, 301, 132, 57, 23, 10, 4, 1)
+
+
+@inline_reduction
+def row_reach(rows: FloatArray, row: int, used: int) -> float:
+    """``Σ_i |rows[row, i]|`` over the first ``used`` columns."""
+    total = 0.0
+    for i in range(used):
+        total += abs(rows[row, i])
+    return total
+
+
+@inline_reduction
+def pair_area(rows: FloatArray, first: int, second: int, used: int) -> float:
+    """Area of the zonotope of two rows: ``4 Σ_{i<j} |det(g_i, g_j)|``, exact up to rounding."""
+    total = 0.0
+    i = 0
+    # Four columns at a time against those after them: each column is read a quarter as often.
+    while i + 4 <= used:
+        x0, x1, x2, x3 = rows[first, i], rows[first, i + 1], rows[first, i + 2], rows[first, i + 3]
+        y0, y1, y2, y3 = rows[second, i], rows[second, i + 1], rows[second, i + 2], rows[second, i + 3]
+        total += abs(x0 * y1 - y0 * x1) + abs(x0 * y2 - y0 * x2) + abs(x0 * y3 - y0 * x3)
+        total += abs(x1 * y2 - y1 * x2) + abs(x1 * y3 - y1 * x3) + abs(x2 * y3 - y2 * x3)
+        for j in range(i + 4, used):
+            x, y = rows[first, j], rows[second, j]
+            total += abs(x0 * y - y0 * x) + abs(x1 * y - y1 * x) + abs(x2 * y - y2 * x) + abs(x3 * y - y3 * x)
+        i += 4
+    while i < used:
+        for j in range(i + 1, used):
+            total += abs(rows[first, i] * rows[second, j] - rows[second, i] * rows[first, j])
+        i += 1
+    return 4.0 * total
+
+
+@inline_reduction
+def row_shear(rows: FloatArray, first: int, second: int, used: int, x: float, y: float) -> float:
+    """``Σ_i |det(g_i, (x, y))|``."""
+    total = 0.0
+    for i in range(used):
+        total += abs(rows[first, i] * y - rows[second, i] * x)
+    return total
 
 
 @inline

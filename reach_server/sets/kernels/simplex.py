@@ -10,145 +10,25 @@ What the iterations do is not trusted: bounds and certificates are evaluated ane
 lose by rounding, and the bound is compared with the value that the point β attains. Where the two differ the basis is
 factorised again, then the costs are perturbed (which breaks cycles).
 
-Numbers: rows are divided by a power of two near their greatest entry; the tableau holds ``B⁻¹ [A | I | b]``.
+The basis and its factors are in ``tableau``, what its ends prove in ``certificates``.
 """
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.numeric.jit import kernel
+from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
+from reach_server.sets.kernels.certificates import attained, bound_of, dependent_rows_fail, farkas, multipliers
+from reach_server.sets.kernels.tableau import factorise, load, pivot
 
 OPTIMAL, EMPTY, UNFINISHED = 0, 1, 2
-#: A row is taken to depend on the others where elimination leaves no entry above this (rows have size 1).
-DEPENDENT = 1e-10
 #: Variables may lie this far outside their bounds; the bound stays a bound, it is then not quite the least.
 FEASIBLE = 1e-12
 #: Entries of the tableau below this are not divided by.
 PIVOT = 1e-9
-#: Farkas certificates must exceed rounding by this much, relative to their terms: A and b may come from sums.
-FARKAS = 1e-9
 #: The bound and the attained value must agree to this, relative to |c|₁, or the basis is factorised again.
 AGREEMENT = 1e-11
-EPS = float(np.finfo(np.float64).eps)
-
-
-@kernel
-def load(matrix: FloatArray, offset: FloatArray, rows: FloatArray, scale: FloatArray, tableau: FloatArray) -> None:
-    """Fill ``rows`` (m, g + 1) with the scaled ``[A | b]`` and the tableau (m, g + m + 1) with ``[A | I | b]``."""
-    m, g = matrix.shape
-    for i in range(m):
-        largest = 0.0
-        for j in range(g):
-            largest = max(largest, abs(matrix[i, j]))
-        if largest == 0.0:
-            largest = abs(offset[i])
-        exponent = math.frexp(largest)[1] if largest > 0.0 else 0
-        scale[i] = math.ldexp(1.0, -exponent)
-        for j in range(g):
-            rows[i, j] = matrix[i, j] * scale[i]
-        rows[i, g] = offset[i] * scale[i]
-    refill(rows, tableau)
-
-
-@kernel
-def refill(rows: FloatArray, tableau: FloatArray) -> None:
-    """The tableau of the empty basis."""
-    m, g = rows.shape[0], rows.shape[1] - 1
-    for i in range(m):
-        for j in range(g):
-            tableau[i, j] = rows[i, j]
-        for j in range(m):
-            tableau[i, g + j] = 0.0
-        tableau[i, g + i] = 1.0
-        tableau[i, g + m] = rows[i, g]
-
-
-@kernel
-def pivot(tableau: FloatArray, count: int, r: int, j: int) -> None:
-    """Make column j a unit column with its 1 in row r, in the first ``count`` rows."""
-    width = tableau.shape[1]
-    factor = 1.0 / tableau[r, j]
-    for k in range(width):
-        tableau[r, k] *= factor
-    tableau[r, j] = 1.0
-    for i in range(count):
-        if i != r:
-            factor = tableau[i, j]
-            if factor != 0.0:
-                for k in range(width):
-                    tableau[i, k] -= factor * tableau[r, k]
-                tableau[i, j] = 0.0
-
-
-@kernel
-def factorise(rows: FloatArray, tableau: FloatArray, basis: IntArray, basic: IntArray, keep: bool) -> int:
-    """Rank of the rows; ``basis`` gets one column for each independent row, which come first in the tableau.
-
-    Elimination with complete pivoting; with ``keep`` only over the columns that ``basic`` names, as far as they go.
-    """
-    m, g = rows.shape[0], rows.shape[1] - 1
-    width = tableau.shape[1]
-    refill(rows, tableau)
-    rank = 0
-    while rank < m:
-        best, row, column = 0.0, -1, -1
-        for i in range(rank, m):
-            for j in range(g):
-                if abs(tableau[i, j]) > best and (not keep or basic[j] == 1):
-                    best, row, column = abs(tableau[i, j]), i, j
-        if best < DEPENDENT:
-            if not keep:
-                break
-            keep = False
-            for j in range(g):
-                basic[j] = 0
-            for i in range(rank):
-                basic[basis[i]] = 1
-            continue
-        if row != rank:
-            for k in range(width):
-                tableau[row, k], tableau[rank, k] = tableau[rank, k], tableau[row, k]
-        pivot(tableau, m, rank, column)
-        basis[rank] = column
-        rank += 1
-    for j in range(g):
-        basic[j] = 0
-    for i in range(rank):
-        basic[basis[i]] = 1
-    return rank
-
-
-@kernel
-def farkas(rows: FloatArray, y: FloatArray) -> float:
-    """``b·y + |Aᵀy|₁`` plus what rounding may hide; below zero the set is empty."""
-    m, g = rows.shape[0], rows.shape[1] - 1
-    value, terms = 0.0, 0.0
-    for i in range(m):
-        value += rows[i, g] * y[i]
-        terms += abs(rows[i, g] * y[i])
-    for j in range(g):
-        total = 0.0
-        for i in range(m):
-            total += rows[i, j] * y[i]
-            terms += abs(rows[i, j] * y[i])
-        value += abs(total)
-    return value + FARKAS * terms
-
-
-@kernel
-def dependent_rows_fail(rows: FloatArray, tableau: FloatArray, rank: int, y: FloatArray) -> bool:
-    """True where a row that depends on others contradicts them; y gets the Farkas weights."""
-    m, g = rows.shape[0], rows.shape[1] - 1
-    for i in range(rank, m):
-        sign = -1.0 if tableau[i, g + m] > 0 else 1.0
-        for k in range(m):
-            y[k] = sign * tableau[i, g + k]
-        if farkas(rows, y) < 0.0:
-            return True
-    return False
 
 
 @kernel
@@ -264,75 +144,6 @@ def descend(
         basis[r] = entering
         pivot(tableau, rank, r, entering)
     return UNFINISHED, limit
-
-
-@kernel
-def multipliers(
-    rows: FloatArray, tableau: FloatArray, rank: int, basis: IntArray, cost: FloatArray, y: FloatArray
-) -> None:
-    """The y (of scaled rows) at which the basic reduced costs vanish, refined once."""
-    m, g = rows.shape[0], rows.shape[1] - 1
-    for k in range(m):
-        y[k] = 0.0
-        for i in range(rank):
-            y[k] += cost[basis[i]] * tableau[i, g + k]
-    for i in range(rank):
-        left = cost[basis[i]]
-        for k in range(m):
-            left -= rows[k, basis[i]] * y[k]
-        if left != 0.0:
-            for k in range(m):
-                y[k] += left * tableau[i, g + k]
-
-
-@kernel
-def bound_of(rows: FloatArray, y: FloatArray, cost: FloatArray) -> float:
-    """``b·y + |c - Aᵀy|₁`` plus the most that its sums may have lost by rounding."""
-    m, g = rows.shape[0], rows.shape[1] - 1
-    value, terms = 0.0, 0.0
-    for i in range(m):
-        value += rows[i, g] * y[i]
-        terms += abs(rows[i, g] * y[i])
-    for j in range(g):
-        rest = cost[j]
-        terms += abs(rest)
-        for i in range(m):
-            product = rows[i, j] * y[i]
-            rest -= product
-            terms += abs(product)
-        value += abs(rest)
-    return float(value + EPS * (m + g + 4) * terms)
-
-
-@kernel
-def attained(
-    rows: FloatArray,
-    tableau: FloatArray,
-    rank: int,
-    basis: IntArray,
-    cost: FloatArray,
-    x: FloatArray,
-    values: FloatArray,
-    point: FloatArray,
-) -> float:
-    """``c·β`` at the point of the basis, which is refined once and clipped to the box."""
-    g, m = rows.shape[1] - 1, rows.shape[0]
-    for j in range(g):
-        point[j] = x[j]
-    for i in range(rank):
-        point[basis[i]] = values[i]
-    for k in range(m):
-        left = rows[k, g]
-        for j in range(g):
-            left -= rows[k, j] * point[j]
-        if left != 0.0:
-            for i in range(rank):
-                point[basis[i]] += tableau[i, g + k] * left
-    total = 0.0
-    for j in range(g):
-        point[j] = min(max(point[j], -1.0), 1.0)
-        total += cost[j] * point[j]
-    return total
 
 
 @kernel

@@ -39,7 +39,7 @@ def copy(tmp_path: Path) -> Path:
 
 def test_an_edit_of_a_kernel_that_others_call_is_seen_and_its_revert_finds_the_old_code(copy: Path) -> None:
     cache = str(copy / "cache")
-    called = copy / "reach_server" / "sets" / "kernels" / "strip.py"
+    called = copy / "reach_server" / "sets" / "kernels" / "planar.py"
     before = called.read_text()
     assert area(copy, FLEET_KERNEL_CACHE=cache)[:2] == (4.0, 1)
     assert area(copy, FLEET_KERNEL_CACHE=cache)[:2] == (4.0, 0)
@@ -80,7 +80,7 @@ def test_a_folder_that_others_can_write_to_is_not_trusted(copy: Path) -> None:
 
 def test_old_versions_are_removed(copy: Path) -> None:
     cache = copy / "cache"
-    called = copy / "reach_server" / "sets" / "kernels" / "strip.py"
+    called = copy / "reach_server" / "sets" / "kernels" / "planar.py"
     before = called.read_text()
     for version in range(KEPT_VERSIONS + 2):
         called.write_text(f"{before}# {version}\n")

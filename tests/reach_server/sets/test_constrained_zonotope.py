@@ -10,7 +10,7 @@ from shapely import MultiPoint
 
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope
-from reach_server.sets.zonotope import SampleMethod
+from reach_server.sets.sampling import SampleMethod
 from tests.reach_server.ugly import (
     EMPTY,
     INHABITED,

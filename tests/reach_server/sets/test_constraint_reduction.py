@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope, constraint_reduction
+from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope, factor_bounds
 from reach_server.sets.order_reduction import ReductionMethod
 from tests.reach_server.ugly import (
     EMPTY,
@@ -142,7 +142,7 @@ def test_constraints_go_from_every_set_of_a_batch_by_its_own_ranking() -> None:
 
 def test_factors_reach_their_bounds_after_rescaling() -> None:
     batch = random_batch(5, 8, 3).rescale()
-    lower, upper = constraint_reduction.factor_bounds(batch.constraint_matrix, batch.constraint_offset)
+    lower, upper = factor_bounds.factor_bounds(batch.constraint_matrix, batch.constraint_offset)
     np.testing.assert_allclose(lower, -1.0, atol=1e-6)
     np.testing.assert_allclose(upper, 1.0, atol=1e-6)
 

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import ConstrainedZonotope, Zonotope
-from reach_server.sets.zonotope import SampleMethod
+from reach_server.sets.sampling import SampleMethod
 from tests.reach_server.sets import rational
 from tests.reach_server.sets.degenerate import KINDS, AnySet, draw, generators, member, numbers, partner, small
 from tests.reach_server.sets.rational import Body, Exact, body_of, exact, total, ways, zeros

@@ -143,7 +143,7 @@ def test_polygons_of_a_fixed_size_are_outer(case: Raw, count: int) -> None:
 def test_an_outline_that_fails_its_check_is_replaced_by_certified_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     c, true = cut_zonotope(np.random.default_rng(3))
     monkeypatch.setattr(outline, "EXACT", -1.0)
-    found = c._outline()
+    found = outline.outline(c.center, c.generators, c.constraint_matrix, c.constraint_offset)
     assert not found.exact
     assert found.outer.shape == (outline.FALLBACK, 2)
     size = float(np.sqrt(true.area))

@@ -5,7 +5,7 @@ import pytest
 
 from reach_server.numeric.types import FloatArray
 from reach_server.sets import SetError, Zonotope, tiling
-from reach_server.sets.zonotope import SampleMethod
+from reach_server.sets.sampling import SampleMethod
 from tests.reach_server.ugly import ROUNDING, ZONOTOPES, Raw, gap, named
 
 every = pytest.mark.parametrize("case", ZONOTOPES, ids=named)

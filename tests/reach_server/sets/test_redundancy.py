@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reach_server.sets import Direction, Zonotope
-from reach_server.sets.parallel import drop_zero, merge_parallel
+from reach_server.sets.redundancy import drop_zero, merge_parallel
 from tests.reach_server.ugly import ZONOTOPES, Raw, directions, moderate, named, random_sets
 
 
