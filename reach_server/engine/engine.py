@@ -420,7 +420,7 @@ class Engine:
         events: list[EngineEvent] = []
         slack = self.profile.tolerance * self.profile.sample_time_ns
         angles = tuple(np.flatnonzero(self.profile.angles).tolist())
-        jumped = appended.fate & ring.JUMPED != 0
+        jumped = appended.status & ring.JUMPED != 0
         if appended.stored < len(jumped):
             batch, jumped = batch.take(np.flatnonzero(appended.stored_rows)), jumped[appended.stored_rows]
         checked = self._record.check(batch, slack, self.noise_of_claim, angles, jumped)
