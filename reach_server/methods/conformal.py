@@ -69,7 +69,7 @@ class Conformal:
         if self._models.resolved < horizon:
             self.notes += (f"after step {self._models.resolved} few independent errors",)
         #: Glitches (V,) that have been told of.
-        self._told = np.zeros(0, dtype=np.int64)
+        self._reported = np.zeros(0, dtype=np.int64)
         self.samples_needed = 1
 
     @property
@@ -84,12 +84,12 @@ class Conformal:
     def grow(self, slots: int) -> None:
         """See ``Method``."""
         self._models.grow(slots)
-        self._told = grow_rows(self._told, slots, self._told)
+        self._reported = grow_rows(self._reported, slots, self._reported)
 
     def reset(self, slot: int) -> None:
         """See ``Method``."""
         self._models.reset(slot)
-        self._told[slot] = 0
+        self._reported[slot] = 0
 
     def learn(self, slots: IndexArray) -> None:
         """See ``Method``."""
@@ -98,8 +98,8 @@ class Conformal:
 
     def glitches(self) -> list[tuple[int, int]]:
         """See ``Method``."""
-        slots = np.flatnonzero(self._models.glitches[: len(self._told)] > self._told)
-        self._told[slots] = self._models.glitches[slots]
+        slots = np.flatnonzero(self._models.glitches[: len(self._reported)] > self._reported)
+        self._reported[slots] = self._models.glitches[slots]
         return list(zip(slots.tolist(), self._window.newest(slots)[2].tolist(), strict=True))
 
     def missing(self, slots: IndexArray) -> NDArray[np.int64]:

@@ -1,8 +1,9 @@
 """The data that bound the residual function best along the path of a vehicle, compiled.
 
-Any choice is sound (``set_membership``). For some points on the path are chosen, with the bounds of
-``set_membership``: the data of least ``±d·r_j + Σ_i |d_i| drift_ji`` in every direction d, which are those that bind there, and the data of least weighted drift, which serve the hull. The path is
-that of the centers of the sets: one step after the other by the model alone.
+Any choice is sound (``set_membership``, which has the bounds). For some points on the path these are chosen: the data
+of least ``±d·r_j + Σ_i |d_i| drift_ji`` in every direction d, which are those that bind there, and the data of least
+weighted drift, which serve the hull. The path is that of the centers of the sets: one step after the other by the model
+alone.
 """
 
 from typing import NamedTuple
@@ -36,7 +37,7 @@ class SelectionWorkspace(NamedTuple):
     drift: FloatArray
     score: FloatArray
     best: FloatArray
-    index: IntArray
+    found: IntArray
     chosen: NDArray[np.bool_]
 
 
@@ -121,11 +122,11 @@ def _search(
         workspace.score[:] = 0.0
         for i in range(n):
             _add(workspace.drift, i, weights[i], workspace.score)
-        _rank(workspace.score, data.valid, workspace.best[kind], workspace.index[kind])
+        _rank(workspace.score, data.valid, workspace.best[kind], workspace.found[kind])
         for way in range(n + directions if membership else 0):
             for side in range(2):
                 kind += 1
-                workspace.index[kind] = -1
+                workspace.found[kind] = -1
                 workspace.score[:] = 0.0
                 speaks = False
                 for i in range(n):
@@ -135,7 +136,7 @@ def _search(
                         _add(workspace.residual, i, d if side == 0 else -d, workspace.score)
                         _add(workspace.drift, i, abs(d), workspace.score)
                 if speaks:
-                    _rank(workspace.score, data.valid, workspace.best[kind], workspace.index[kind])
+                    _rank(workspace.score, data.valid, workspace.best[kind], workspace.found[kind])
 
 
 @leaf_kernel
@@ -180,9 +181,9 @@ def choose_one(
         _search(data, fitted, v, points, weights, membership, workspace)
         workspace.chosen[:] = False
         # The best of every kind first, in case there is not room for all.
-        for k in range(workspace.index.shape[1]):
-            for kind in range(len(workspace.index)):
-                index = workspace.index[kind, k]
+        for k in range(workspace.found.shape[1]):
+            for kind in range(len(workspace.found)):
+                index = workspace.found[kind, k]
                 if index >= 0 and not workspace.chosen[index] and fitted.held[v] < most:
                     workspace.chosen[index] = True
                     _select(data, fitted, v, index)

@@ -28,7 +28,7 @@ TURN = 2 * np.pi
 
 
 class Samples(NamedTuple):
-    """Ring buffers (V, S, ·) as in ``data.samples.Columns``, and ``appended`` (V,), how many samples there ever were."""
+    """Ring buffers (V, S, ·) as in ``data.samples.Columns``, and the number of samples ``appended`` (V,) so far."""
 
     x: FloatArray
     u: FloatArray
@@ -53,11 +53,11 @@ class StreamingMoments(NamedTuple):
     """Data of V vehicles, by slot, at S indices of the window (and R more, of older data): ``z`` (V, p, S + R), ``y``
     (V, n, S + R), ``valid`` (V, S + R).
 
-    ``newest`` (V, n): the newest state, its angles continued. ``processed`` (V,): samples processed; ``data`` (V,): data
-    of the window; ``since_fit`` (V,): samples since the last fit. ``center`` (V, p + n), ``moments``
-    (V, 1 + p, 1 + p + n), ``peak`` (V, p) greatest second moments since they were summed, ``age`` (V,) data since then. Of
-    the model in use: ``low``, ``high`` (V, n), the hull of the residuals of all data, and bounds ``largest`` (V, p + n)
-    of the magnitudes of regressors and targets.
+    ``newest`` (V, n): the newest state, its angles continued. ``processed`` (V,): samples processed; ``data`` (V,):
+    data of the window; ``since_fit`` (V,): samples since the last fit. ``center`` (V, p + n), ``moments`` (V, 1 + p,
+    1 + p + n), ``peak`` (V, p) greatest second moments since they were recomputed, ``age`` (V,) data since then. Of the
+    model in use: ``low``, ``high`` (V, n), the hull of the residuals of all data, and bounds ``largest`` (V, p + n) of
+    the magnitudes of regressors and targets.
     """
 
     z: FloatArray

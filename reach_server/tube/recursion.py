@@ -74,8 +74,8 @@ class Recursion:
         matrix, offset = sets.matrix[:, first:], sets.offset[:, first:]
         lifted = np.concatenate([sets.generators, matrix], axis=1)
         count, z = sets.center.shape
-        room = lifted.shape[2] + columns_added(self.fitted, self.rules)
-        center, moved = np.empty((count, z)), np.empty((count, lifted.shape[1], room))
+        added_columns = lifted.shape[2] + columns_added(self.fitted, self.rules)
+        center, moved = np.empty((count, z)), np.empty((count, lifted.shape[1], added_columns))
         most, wrong = advance_many(
             np.ascontiguousarray(sets.center), lifted, vehicle.astype(np.int64), self.fitted,
             np.ascontiguousarray(self.inputs.center[:, k]), np.ascontiguousarray(self.inputs.half[:, k]), self.rules,

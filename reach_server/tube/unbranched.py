@@ -72,12 +72,12 @@ def box_tubes(
     strips = plan.strips
     most = int(plan.active.sum(axis=2).max(initial=0))
     # Room for all columns that two passes may add, so that no set depends on what is asked of others.
-    room = most if frobenius else 2 * most
+    added_columns = most if frobenius else 2 * most
     found = _box_tubes(
         stacked(center, 2, (count,), count), stacked(generators, 3, (count,), count),
         stacked(start_center, 1, (count,), count), stacked(start_generators, 2, (count,), count), plan.active,
         strips.normal, strips.lower, strips.upper, strips.planar, strips.flat,
-        plane[0], plane[1], frobenius, room, WAYS,
+        plane[0], plane[1], frobenius, added_columns, WAYS,
     )  # fmt: skip
     sets, own, used, area, area_free, heights, hull, acted, ended, bounded = found
     return UnbranchedTubes(
@@ -101,7 +101,7 @@ def _box_tubes(
     plane0: int,
     plane1: int,
     frobenius: bool,
-    room: int,
+    added_columns: int,
     ways: FloatArray,
 ) -> tuple[
     FloatArray,
@@ -117,7 +117,7 @@ def _box_tubes(
 ]:
     vehicles, steps, n, g = free_generators.shape
     first, strips, sides = start_generators.shape[2], len(lower), len(ways)
-    widest = max(g, first) + room
+    widest = max(g, first) + added_columns
     center, generators = np.zeros((vehicles, steps, n)), np.zeros((vehicles, steps, n, widest))
     used = np.full((vehicles, steps), g)
     area, area_free = np.zeros((vehicles, steps)), np.zeros((vehicles, steps))
