@@ -316,7 +316,7 @@ class Engine:
         return Tubes(
             tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times,
             reach.steps, reach.free, reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.acted),
+            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.active),
             self._labels.notes(deficient, against, reach.emptied, unseen, held),
             self._verdicts(instants, reach.steps), (), {},
         )  # fmt: skip
@@ -339,14 +339,14 @@ class Engine:
             self._plans = self._new_plans()
         if CUT_KINDS[self.profile.cuts].adds_constraints:
             plan = CutSchedule.nothing(count, self.horizon, len(self.profile.state))
-            plan.straight[row] = False
+            plan.unbranched[row] = False
         else:
             plan = self._plans.of(row, obligation, tested, self.horizon, *(forecast.ahead() or (None, None)))
         parts: list[ReachSets] = []
-        stepwise = ~plan.straight
-        straight = np.flatnonzero(plan.straight)
+        stepwise = ~plan.unbranched
+        straight = np.flatnonzero(plan.unbranched)
         if len(straight):
-            tubes = forecast.straight(straight, plan.rows(straight))
+            tubes = forecast.unbranched(straight, plan.rows(straight))
             if tubes is None:
                 stepwise[:] = True
             else:
@@ -445,7 +445,7 @@ class Engine:
         """Events where cuts left nothing, and where the data excludes the stated bounds."""
         events: list[EngineEvent] = []
         # A calibrated set may be wrong itself: only what was measured contradicts for good.
-        for row, (step, literals) in {} if self._method.claims_measured else reach.blamed.items():
+        for row, (step, literals) in {} if self._method.claims_measured else reach.responsible.items():
             slot, ahead = int(served.slots[row]), step * self.profile.sample_time_ns
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
         for row in np.flatnonzero(reach.excluded).tolist():

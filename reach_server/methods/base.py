@@ -54,7 +54,7 @@ class Forecast(Protocol):
         """Centers (B, N + 1, n) and generators (B, N + 1, n, g) of the sets without cuts at steps 0 to N, if they are
         known before."""
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes | None:
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes | None:
         """All steps at once for the vehicles of some rows (K,), cut by the plan (K); None if there is no such way."""
 
 
@@ -107,5 +107,5 @@ class Method(Protocol):
     def rank_deficient(self, slots: IndexArray) -> NDArray[np.bool_]:
         """Of which vehicles that are served the data does not determine the model."""
 
-    def forecast(self, served: TubeRequest) -> Forecast:
+    def forecast(self, request: TubeRequest) -> Forecast:
         """How the sets of some vehicles go on."""

@@ -42,11 +42,11 @@ class BoxForecast:
         generators[:, 1:] = self.motion.generators
         return center, generators
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes:
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes:
         """See ``Forecast``."""
         return box_tubes(
             self.motion.center[rows], self.motion.generators[rows], self.start.center[rows],
-            self.start.generators[rows], plan, self.plane, self.cuts,
+            self.start.generators[rows], schedule, self.plane, self.cuts,
         )  # fmt: skip
 
 
@@ -118,16 +118,16 @@ class Conformal:
         """None: what the data does not determine is held small."""
         return np.zeros(len(slots), dtype=bool)
 
-    def forecast(self, served: TubeRequest) -> BoxForecast:
+    def forecast(self, request: TubeRequest) -> BoxForecast:
         """See ``Method``."""
-        plan = served.known.plan if served.known is not None and self._planned else None
-        x = served.block.x[:, -1]
-        bounds = self._bounds(served.slots, x) if self._limited else None
-        boxes = self._models.predict(served.slots, plan, bounds=bounds)
+        plan = request.known.plan if request.known is not None and self._planned else None
+        x = request.block.x[:, -1]
+        bounds = self._bounds(request.slots, x) if self._limited else None
+        boxes = self._models.predict(request.slots, plan, bounds=bounds)
         start = RawSets.zonotope(x, np.zeros((*x.shape, 0)))
         outlook = Outlook(boxes.unseen, boxes.held)
         if bounds is not None:
-            slack = MARGIN * self._models.fastest(served.slots)[:, None] if bounds.noisy else 0.0
+            slack = MARGIN * self._models.fastest(request.slots)[:, None] if bounds.noisy else 0.0
             outlook = Outlook(boxes.unseen, boxes.held, bounds.low - slack, bounds.high + slack)
         return BoxForecast(start, boxes, self._profile.position, self._profile.cuts, outlook)
 

@@ -17,7 +17,7 @@ import numpy as np
 from reach_server.numeric.intervals import add_down, add_up, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.interval_ad.arithmetic import Bounds
-from reach_server.predicates.interval_ad.enclosure import Jet, PredicateFunction
+from reach_server.predicates.interval_ad.enclosure import PredicateFunction, TaylorEnclosure
 from reach_server.predicates.interval_ad.linear_range import reach
 from reach_server.predicates.remainders import greatest_curvature, greatest_quadratic, middle, upper_dot
 from reach_server.sets.kernels.strip import EMPTY_MARGIN
@@ -33,8 +33,8 @@ class Expansion:
     half: FloatArray
     lower: FloatArray
     upper: FloatArray
-    box: Jet
-    point: Jet
+    box: TaylorEnclosure
+    point: TaylorEnclosure
 
     @staticmethod
     def of(field: PredicateFunction, center: FloatArray, generators: FloatArray, given: Bounds) -> "Expansion":
@@ -42,7 +42,7 @@ class Expansion:
         half = sum_up(np.abs(generators))
         lower, upper = add_down(center, -half), add_up(center, half)
         twice = np.concatenate([given[0], given[0]], axis=1), np.concatenate([given[1], given[1]], axis=1)
-        both = field.jet(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
+        both = field.enclosure(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
         rows = len(center)
         return Expansion(center, generators, half, lower, upper, both[:rows], both[rows:])
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from reach_server.numeric.intervals import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.predicates.affine import AffineCutter, affine_in_states
-from reach_server.predicates.convex_region import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
-from reach_server.predicates.halfspace import FixedStrips, LinearCutter
-from reach_server.predicates.interface import Context, PredicateEnclosure, StateUncertainty, Status, Strips
+from reach_server.predicates.affine import AffineEnclosure, affine_in_states
+from reach_server.predicates.convex_region import ConvexRegionEnclosure, disc_expression, disc_strips, ellipsoid_strips
+from reach_server.predicates.halfspace import FixedStrips, HalfspaceEnclosure
+from reach_server.predicates.interface import Context, PredicateEnclosure, StateUncertainty, Strips, Verdict
 from reach_server.predicates.interval_ad.enclosure import PredicateFunction
-from reach_server.predicates.nonlinear import NonlinearCutter
+from reach_server.predicates.nonlinear import NonlinearEnclosure
 from side_info.stl.expression import Last, Steps, nodes_of
 from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
@@ -21,7 +21,7 @@ from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPr
 class _Entry:
     scenario: str
     name: str
-    cutter: PredicateEnclosure
+    enclosure: PredicateEnclosure
     looks_back: bool
 
 
@@ -68,9 +68,9 @@ class Literals:
         key = (scenario, name, margin_ns, motion.tobytes(), _content(predicate), tuple(sorted(index.items())))
         if key not in self._known:
             noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
-            cutter = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
+            enclosure = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
             self._known[key] = len(self._entries)
-            self._entries.append(_Entry(scenario, name, cutter, _looks_back(predicate)))
+            self._entries.append(_Entry(scenario, name, enclosure, _looks_back(predicate)))
         return self._known[key]
 
     @property
@@ -93,7 +93,7 @@ class Literals:
 
     def fixed(self, literal: int) -> bool:
         """Whether its strips depend neither on the set nor on the context."""
-        return self._noise is None or self._entries[literal].cutter.fixed
+        return self._noise is None or self._entries[literal].enclosure.fixed
 
     def fixed_strips(self, literal: int) -> Strips:
         """The strips (C,) of a literal for which they depend neither on the set nor on the context: outer."""
@@ -105,7 +105,7 @@ class Literals:
             self._fixed_strips[literal] = found
         return found
 
-    def status(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Status:
+    def verdict(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
         """What the literals ``ids`` (L,) come to on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
         (R, L).
 
@@ -113,7 +113,7 @@ class Literals:
         """
         found = np.zeros((len(center), len(ids)), dtype=np.int8)
         for column, literal in enumerate(ids if len(center) else ()):
-            found[:, column] = self._entries[literal].cutter.status(center, generators, context)
+            found[:, column] = self._entries[literal].enclosure.verdict(center, generators, context)
         return found
 
     def strips(
@@ -127,24 +127,26 @@ class Literals:
         if self._noise is None:
             nothing = np.zeros(0)
             return Strips(np.zeros((0, self._n)), nothing, nothing), np.zeros(len(center), dtype=bool)
-        return self._entries[literal].cutter.strips(center, generators, context)
+        return self._entries[literal].enclosure.strips(center, generators, context)
 
-    def _compiled(self, predicate: Predicate, index: Mapping[str, int], blur: StateUncertainty) -> PredicateEnclosure:
+    def _compiled(
+        self, predicate: Predicate, index: Mapping[str, int], uncertainty: StateUncertainty
+    ) -> PredicateEnclosure:
         if isinstance(predicate, LinearPredicate):
             normal = np.zeros((1, self._n))
             for state, coefficient in predicate.coefficients.items():
                 normal[0, index[state]] += coefficient
             bounds = np.array([predicate.lower]), np.array([predicate.upper])
-            return LinearCutter(FixedStrips(normal, *bounds, blur))
+            return HalfspaceEnclosure(FixedStrips(normal, *bounds, uncertainty))
         if isinstance(predicate, DiscPredicate):
-            cutter = NonlinearCutter(PredicateFunction(disc_expression(predicate), index), self._n, blur)
-            return BoundedCutter(disc_strips(predicate, index, self._n, blur), cutter)
+            enclosure = NonlinearEnclosure(PredicateFunction(disc_expression(predicate), index), self._n, uncertainty)
+            return ConvexRegionEnclosure(disc_strips(predicate, index, self._n, uncertainty), enclosure)
         field = PredicateFunction(predicate.expression, index)
-        if affine_in_states(predicate.expression) and field.everywhere and field.places:
-            return AffineCutter(field, self._n, blur)
-        cutter = NonlinearCutter(field, self._n, blur)
-        region = ellipsoid_strips(cutter.field, self._n, blur)
-        return cutter if region is None else BoundedCutter(region, cutter)
+        if affine_in_states(predicate.expression) and field.everywhere and field.coordinates:
+            return AffineEnclosure(field, self._n, uncertainty)
+        enclosure = NonlinearEnclosure(field, self._n, uncertainty)
+        region = ellipsoid_strips(enclosure.field, self._n, uncertainty)
+        return enclosure if region is None else ConvexRegionEnclosure(region, enclosure)
 
 
 def _looks_back(predicate: Predicate) -> bool:

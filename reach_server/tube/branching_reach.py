@@ -45,8 +45,8 @@ def branching(
     tube = propagate(tracks, motion, knowledge, n)
     whole = tube.ended[count:] < 0
     cut, improved = count + np.flatnonzero(whole), with_side[whole]
-    acted = np.flatnonzero(tube.acted.any(axis=(0, 1))).tolist()
-    strips = PlaneStrips.of(side.literals, acted, n, profile.position)
+    active = np.flatnonzero(tube.active.any(axis=(0, 1))).tolist()
+    strips = PlaneStrips.of(side.literals, active, n, profile.position)
     free = [of_tracks(step, np.arange(count), strips, profile.position) for step in tube.steps[1:]]
     # The paper's cuts are shown as they are, larger or not.
     always = CUT_KINDS[profile.cuts].keeps_larger_result
@@ -65,7 +65,7 @@ def branching(
         steps, tuple(sets for sets, _ in free),
         np.stack([f.area for _, f in found], axis=1), np.stack([f.area for _, f in free], axis=1),
         np.stack([f.heights for _, f in found], axis=1), np.stack([f.hull for _, f in found], axis=1),
-        tube.acted[chosen, 1:], _bounded(steps), emptied, tube.contradicted[:count], _blamed(tube, own, side),
+        tube.active[chosen, 1:], _bounded(steps), emptied, tube.contradicted[:count], _responsible(tube, own, side),
     )  # fmt: skip
 
 
@@ -75,12 +75,12 @@ def _bounded(steps: tuple[RawSets, ...]) -> NDArray[np.bool_]:
     return np.asarray(np.all(finite, axis=0))
 
 
-def _blamed(tube: Tube, own: NDArray[np.intp], side: Assignments) -> dict[int, tuple[int, list[int]]]:
+def _responsible(tube: Tube, own: NDArray[np.intp], side: Assignments) -> dict[int, tuple[int, list[int]]]:
     """By vehicle, ``own`` (T,) of the tracks: the step at which the last branch was empty, and what took part."""
-    blamed = {}
+    responsible = {}
     for track in np.flatnonzero(tube.ended >= 0).tolist():
         # What cut before may be as wrong as what left nothing: all scenarios that took part are named.
-        before = tube.acted[track].any(axis=0)
-        literals = np.flatnonzero(tube.blamed[track] | side.of_others(before, tube.blamed[track])).tolist()
-        blamed[int(own[track])] = int(tube.ended[track]), literals
-    return blamed
+        before = tube.active[track].any(axis=0)
+        literals = np.flatnonzero(tube.responsible[track] | side.of_others(before, tube.responsible[track])).tolist()
+        responsible[int(own[track])] = int(tube.ended[track]), literals
+    return responsible

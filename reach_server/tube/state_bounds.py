@@ -116,8 +116,8 @@ def _held(sets: RawSets, low: FloatArray, high: FloatArray, plane: tuple[int, in
         found = strips.narrow(
             sets.center, sets.generators, np.eye(n), finite[0], finite[1], np.ones(low.shape, dtype=bool), plane=plane
         )
-        kept = np.flatnonzero(~(found.acted & MISSED).any(axis=1))
-        sets = replace_rows(sets, kept, RawSets.zonotope(found.center[kept], found.generators[kept]))
+        retained = np.flatnonzero(~(found.acted & MISSED).any(axis=1))
+        sets = replace_rows(sets, retained, RawSets.zonotope(found.center[retained], found.generators[retained]))
     half = _spread(sets)
     slack = NEGLIGIBLE * half + np.spacing(np.abs(sets.center))
     least, greatest = sets.center - half, sets.center + half

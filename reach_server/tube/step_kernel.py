@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.models.set_membership import Fitted, HullWorkspace, residual_one, hull_workspace
+from reach_server.models.set_membership import Fitted, HullWorkspace, hull_workspace, residual_one
 from reach_server.numeric.intervals import EPS
 from reach_server.numeric.jit import kernel, leaf_kernel
 from reach_server.numeric.types import FloatArray, IntArray

@@ -62,11 +62,11 @@ def test_what_both_hold_is_kept_and_nothing_reaches_beyond(seed: int) -> None:
         excluded = (sets.center + np.abs(sets.generators).sum(axis=2) < low) | (
             sets.center - np.abs(sets.generators).sum(axis=2) > high
         )
-        kept = ~excluded.any(axis=1)
-        assert (held.center - spread >= low - slack)[kept].all()
-        assert (held.center + spread <= high + slack)[kept].all()
+        retained = ~excluded.any(axis=1)
+        assert (held.center - spread >= low - slack)[retained].all()
+        assert (held.center + spread <= high + slack)[retained].all()
         allowed = 4 * half[:, 0] * half[:, 1]
-        assert (areas[:, 0] <= allowed * (1 + 1e-5))[kept].all()
+        assert (areas[:, 0] <= allowed * (1 + 1e-5))[retained].all()
     before = reach_of(sets)
     for row in np.flatnonzero(~cut):
         np.testing.assert_array_equal(found.steps[0].center[row], sets.center[row])

@@ -74,7 +74,7 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
     center, generators = rng.normal(size=(1, 3)), rng.normal(size=(1, 3, 5))
     points = center + np.sign(rng.uniform(-1, 1, (4000, 5))) * rng.uniform(0.2, 1, (4000, 5)) @ generators[0].T
     cuts: list[tuple[list[float], float, float]] = []
-    kept = np.ones(len(points), dtype=bool)
+    retained = np.ones(len(points), dtype=bool)
     for number in range(count):
         # The last one speaks about a state that is no position and must not clip the outline.
         normal = rng.normal(size=3) * [1.0, 1.0, float(number == 2)]
@@ -82,14 +82,14 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
         low, high = np.quantile(heights, 0.2), np.quantile(heights, 0.9)
         low, high = (float(low), float(high)) if rng.random() < 0.6 else (-np.inf, float(high))
         cuts.append((normal.tolist(), low, high))
-        kept &= (low <= heights) & (heights <= high)
+        retained &= (low <= heights) & (heights <= high)
     sets = RawSets.zonotope(center, generators)
     acting = np.ones((1, count), dtype=bool)
     found = figures(sets, acting, strips(*cuts), PLANE)
     free = figures(sets, ~acting, strips(*cuts), PLANE)
     assert found.area[0] <= free.area[0] * (1 + 1e-9)
-    if kept.any():
-        relative = (points - center)[kept]
+    if retained.any():
+        relative = (points - center)[retained]
         assert_outlines(found.outline()[0], relative[:, :2], 1.0)
         assert (found.hull[0, 0] <= relative.min(axis=0)).all()
         assert (found.hull[0, 1] >= relative.max(axis=0)).all()
