@@ -49,11 +49,11 @@ class CoverageRecord:
     Where ``alpha`` is 0 the sets rest on stated bounds, and these are judged:
 
     ====================  ==============================================================================================
-    miss                  refutes a bound: ``falsified``, see ``refute``
+    miss                  refutes a bound: ``refuted``, see ``refute``
     miss of a jump        no check at all: a pose that the window takes for a jump, and that lies more than
                           ``BEYOND_BOUNDS`` times as far from the center of the set without cuts as the set reaches
     jumps                 more than ``FORGIVEN`` of them within ``RECENT`` checks: ``restless``
-    checks that hold      ``span`` of them in a row after the last refutation end ``falsified``; twice as many after the
+    checks that hold      ``span`` of them in a row after the last refutation end ``refuted``; twice as many after the
                           second time, and so on
     ====================  ==============================================================================================
     """
@@ -71,18 +71,18 @@ class CoverageRecord:
         self._misses = np.zeros(0, dtype=np.int64)
         self.outside: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         #: Whether a stated bound turned out to be wrong, how often that was found, and checks that held since.
-        self.falsified: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        self._refuted = np.zeros(0, dtype=np.int64)
+        self.refuted: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._refutations = np.zeros(0, dtype=np.int64)
         self._held = np.zeros(0, dtype=np.int64)
         #: How many had been checked, plus one, at the newest jumps, oldest first; 0 for none.
         self._jumps = np.zeros((0, FORGIVEN + 1), dtype=np.int64)
         #: Stamps of samples that only side information excludes, by slot, until that has been looked into.
-        self.doubted: dict[int, int] = {}
+        self.unexplained: dict[int, int] = {}
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
         for name in (
-            "_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "falsified", "_refuted", "_held",
+            "_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "refuted", "_refutations", "_held",
             "_jumps",
         ):  # fmt: skip
             array = getattr(self, name)
@@ -93,9 +93,9 @@ class CoverageRecord:
         self.predictions.drop(slot)
         self._checked[slot] = self._inside[slot] = self._last_miss[slot] = self._misses[slot] = 0
         self._missed[slot] = False
-        self._refuted[slot] = self._held[slot] = self._jumps[slot] = 0
-        self.outside[slot] = self.falsified[slot] = False
-        self.doubted.pop(slot, None)
+        self._refutations[slot] = self._held[slot] = self._jumps[slot] = 0
+        self.outside[slot] = self.refuted[slot] = False
+        self.unexplained.pop(slot, None)
 
     def audit(self, slot: int) -> Audit:
         """Predictions of a vehicle that were checked, and how many held."""
@@ -108,10 +108,10 @@ class CoverageRecord:
 
     def refute(self, slot: int) -> bool:
         """A stated bound of a vehicle turned out to be wrong, by a miss or by the data; whether that is news."""
-        news = not self.falsified[slot]
-        self._refuted[slot] += news
+        news = not self.refuted[slot]
+        self._refutations[slot] += news
         self._held[slot] = 0
-        self.falsified[slot] = True
+        self.refuted[slot] = True
         return news
 
     def jumped(self, slot: int) -> bool:
@@ -139,17 +139,17 @@ class CoverageRecord:
             found = take_rows(found, ~no_check)
         slots = found.slot
         missed = ~found.inside
-        place = self._checked[slots] % RECENT
-        self._misses[slots] += missed.astype(np.int64) - self._missed[slots, place]
-        self._missed[slots, place] = missed
+        index = self._checked[slots] % RECENT
+        self._misses[slots] += missed.astype(np.int64) - self._missed[slots, index]
+        self._missed[slots, index] = missed
         self._checked[slots] += 1
         self._inside[slots] += found.inside
         left, returned = self._judge(slots)
         # What only side information excludes says nothing against the bounds.
         self._held[slots] = np.where(found.inside_free, self._held[slots] + 1, 0)
-        enough = self._span << np.minimum(np.maximum(self._refuted[slots] - 1, 0), MOST_DOUBLINGS)
-        restored = slots[self.falsified[slots] & (self._held[slots] >= enough)]
-        self.falsified[restored] = False
+        enough = self._span << np.minimum(np.maximum(self._refutations[slots] - 1, 0), MOST_DOUBLINGS)
+        restored = slots[self.refuted[slots] & (self._held[slots] >= enough)]
+        self.refuted[restored] = False
         misses: list[Miss] = []
         for k in np.flatnonzero(missed).tolist():
             slot, excess = int(slots[k]), float(found.excess[k])

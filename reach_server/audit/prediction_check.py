@@ -52,10 +52,10 @@ def _bands(checked: range, alpha: float, probability: float) -> IntArray:
     """``binomial_band`` of each number of checks. It never falls, so each one is looked for from the one before on: a
     class with a confidence of its own must not hold up a round."""
     found, misses = np.zeros(len(checked), dtype=np.int64), 0
-    for place, number in enumerate(checked):
+    for index, number in enumerate(checked):
         while misses < number and bdtr(misses, number, alpha) < probability:
             misses += 1
-        found[place] = misses
+        found[index] = misses
     return found
 
 

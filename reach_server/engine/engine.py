@@ -243,8 +243,8 @@ class Engine:
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.
-        for slot in sorted(self._record.doubted.keys() & set(held.tolist())):
-            t = self._record.doubted.pop(slot)
+        for slot in sorted(self._record.unexplained.keys() & set(held.tolist())):
+            t = self._record.unexplained.pop(slot)
             if not any(event.vehicle == self._names[slot] for event in events):
                 events += self._assignments.contradict(slot, self._names[slot], t, None)
         return events
@@ -278,7 +278,7 @@ class Engine:
         """Tubes of the vehicles that are served; those whose sets are not finite wait instead."""
         if self.profile.filtered and not self._method.claims_measured:
             rows, sets = self._record.predictions.prior(served.slots, served.epoch, served.seq)
-            kept = ~self._record.falsified[served.slots[rows]]
+            kept = ~self._record.refuted[served.slots[rows]]
             served = replace(served, prior=Prior(rows[kept], take_rows(sets, kept)))
         forecast = self._method.forecast(served)
         instants = self._instants(served, forecast)
@@ -310,7 +310,7 @@ class Engine:
         slots = served.slots.tolist()
         deficient = self._method.rank_deficient(served.slots)
         against = np.isin(served.slots, sorted(self._assignments.contradicted()))
-        wrong = self._record.falsified[served.slots] | reach.excluded | self._record.restless(served.slots)
+        wrong = self._record.refuted[served.slots] | reach.excluded | self._record.restless(served.slots)
         if self._labels.audited:
             wrong = wrong | self._record.outside[served.slots]
         return Tubes(
@@ -426,7 +426,7 @@ class Engine:
         checked = self._record.check(batch, slack, self.noise_of_claim, angles, jumped)
         for miss in checked.misses:
             if miss.side_information:
-                self._record.doubted[miss.slot] = miss.t
+                self._record.unexplained[miss.slot] = miss.t
             elif self._labels.certain:
                 self._record.refute(miss.slot)
                 events.append(notices.miss(self._names[miss.slot], miss))

@@ -2,8 +2,8 @@
 
 The result equals that of ``branching`` with a ``Recursion`` where one alternative remains at each step
 (``cut_schedule``): at every step the set is moved (``step_kernel``), then cut. The sets without cuts are computed
-beside those with cuts; up to the first active cut both are the same, and are computed once. A set that cuts did not make
-smaller is published without them.
+beside those with cuts; up to the first active cut both are the same, and are computed once. A set that cuts did not
+make smaller is published without them.
 """
 
 from typing import NamedTuple
