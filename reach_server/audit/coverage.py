@@ -1,4 +1,5 @@
-"""The record of a vehicle class: what was predicted for each vehicle, how often it held, and what did not."""
+"""The coverage record of a vehicle class: how often its one-step predictions held, and whether that agrees with its
+label."""
 
 from dataclasses import dataclass
 
@@ -31,8 +32,8 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checked:
-    """What a batch of measurements says: ``misses``; the slots whose rolling record ``left`` its band with them or
-    ``returned`` into it; and those whose refuted bounds have held for long enough since, ``restored``."""
+    """The result of checking a batch of measurements: ``misses``; the slots whose rolling record ``left`` its band with
+    them or ``returned`` into it; and those whose refuted bounds have held for long enough since, ``restored``."""
 
     misses: list[Miss]
     left: NDArray[np.intp]
@@ -43,8 +44,8 @@ class Checked:
 class CoverageRecord:
     """One-step predictions of the vehicles of a class, by slot.
 
-    A check misses with probability ``alpha`` at most, if the label is right. How many of the newest 1000 did is the
-    rolling record, ``outside`` (V,) where that is more than ``alpha`` explains: see ``audit.bands``.
+    A check misses with probability ``alpha`` at most, if the label is right. How many of the newest 1000 missed is the
+    rolling record, ``outside`` (V,) where that is more than ``alpha`` explains: see ``prediction_check.bands``.
 
     Where ``alpha`` is 0 the sets rest on stated bounds, and these are judged:
 
@@ -128,8 +129,8 @@ class CoverageRecord:
     def check(
         self, batch: SampleBatch, slack: float, noise: FloatArray, angles: tuple[int, ...], jumped: NDArray[np.bool_]
     ) -> Checked:
-        """Hold the measurements against the predictions that wait for them, see ``Predictions.check``; ``jumped`` (B,)
-        are those whose pose jumped."""
+        """Check pending predictions against measurements, see ``Predictions.check``; ``jumped`` (B,) are those whose
+        pose jumped."""
         found = self.predictions.check(batch, slack, noise, angles)
         if self._judges_bounds and jumped[found.row].any():
             no_check = jumped[found.row] & ~found.inside & (found.times_free > BEYOND_BOUNDS)

@@ -1,4 +1,4 @@
-"""Method ``calibrated``: boxes around predictions, sized by how the predictions before them turned out."""
+"""Method ``calibrated``: boxes around predictions, sized by the errors of earlier predictions."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ from reach_server.tube.unbranched import UnbranchedTubes, box_tubes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxForecast:
-    """Boxes that are known before, each cut by itself."""
+    """Boxes that do not depend on cuts, each cut by itself."""
 
     start: RawSets
     motion: Boxes
@@ -51,7 +51,7 @@ class BoxForecast:
 
 
 class Conformal:
-    """Calibrated sets, which speak about measured states."""
+    """Calibrated sets of measured states."""
 
     claims_measured = True
     lipschitz = None
@@ -115,7 +115,7 @@ class Conformal:
         ]
 
     def rank_deficient(self, slots: IndexArray) -> NDArray[np.bool_]:
-        """None: what the data does not determine is held small."""
+        """False: the ridge keeps small what the data does not determine."""
         return np.zeros(len(slots), dtype=bool)
 
     def forecast(self, request: TubeRequest) -> BoxForecast:
@@ -136,7 +136,7 @@ class Conformal:
         ahead = limits_ahead(self._profile, x, self._horizon)
         apart = 2.0 * float(np.hypot(*ahead.error[list(self._profile.position)]))
         return Bounds(
-            ahead.low - ahead.error, ahead.high + ahead.error, ahead.way + apart,
+            ahead.low - ahead.error, ahead.high + ahead.error, ahead.distance + apart,
             self._profile.noise.measurement is None,
         )  # fmt: skip
 

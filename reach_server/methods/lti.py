@@ -1,4 +1,4 @@
-"""Method ``lti``: all linear models that agree with the data at once, moved from step to step."""
+"""Method ``lti``: sets moved from step to step by all linear models that agree with the data."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +43,7 @@ class LinearForecast:
         """Each set follows from the one before."""
 
     def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes | None:
-        """Every vehicle goes step by step."""
+        """None: every vehicle is moved step by step."""
         return None
 
 

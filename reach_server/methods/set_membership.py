@@ -102,14 +102,14 @@ def lags_missing(block: Block, layout: RegressorSpec) -> Reason:
 
 
 def inputs_unlimited(profile: VehicleProfile, horizon: int, block: Block, known: PlannedInputs | None) -> Reason:
-    """Vehicles of which an input of the horizon is neither known nor limited."""
+    """Vehicles for which an input over the horizon is neither known nor limited."""
     needed = ~block.input_known[:, -1] | (known is None and horizon > 1)
     limited = bool(np.isfinite(np.concatenate(limits(profile))).all())
     return needed & (not limited), "no plan came, and the profile states no limits for an input"
 
 
 def input_sets(profile: VehicleProfile, layout: RegressorSpec, horizon: int, request: TubeRequest) -> InputSets:
-    """What the inputs of the horizon can be."""
+    """Sets of the inputs over the horizon."""
     u = lagged_inputs(request.block, layout)[:, -1].reshape(len(request.slots), layout.lags + 1, layout.m)
     known = request.known
     return future_inputs(
@@ -121,9 +121,8 @@ def input_sets(profile: VehicleProfile, layout: RegressorSpec, horizon: int, req
 def outlook_of(
     profile: VehicleProfile, layout: RegressorSpec, horizon: int, request: TubeRequest, start: RawSets, seen: Seen
 ) -> Outlook:
-    """What limits the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
-    data (``seen``), and what the profile states of true
-    states."""
+    """The limits of the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
+    data (``seen``), and what the profile states of true states."""
     block = request.block
     z = np.concatenate([start.center[:, layout.free], lagged_inputs(block, layout)[:, -1]], axis=1)
     far = seen.outside(z)
@@ -146,7 +145,7 @@ def received(request: TubeRequest, layout: RegressorSpec, bounds: NoiseBounds, n
     of what was predicted for them (set-membership filtering); outer bounds. Angles among the regressors are in the turn
     of the ``newest`` state that the models hold in.
 
-    A received state that no state of its prediction explains is taken alone; the audit tells of it.
+    A received state that no state of its prediction explains is taken alone; the audit reports it.
     """
     x = unwrapped(request.block, layout)[:, -1]
     if layout.pose is None:

@@ -111,7 +111,7 @@ def _search(
     membership: bool,
     workspace: SelectionWorkspace,
 ) -> None:
-    """The data of least score of every kind at every point."""
+    """Find the data of least score of every kind at every point."""
     n, directions = len(workspace.drift), fitted.directions.shape[1]
     kinds = len(workspace.best) // len(points)
     if membership:
@@ -123,14 +123,14 @@ def _search(
         for i in range(n):
             _add(workspace.drift, i, weights[i], workspace.score)
         _rank(workspace.score, data.valid, workspace.best[kind], workspace.found[kind])
-        for way in range(n + directions if membership else 0):
+        for direction in range(n + directions if membership else 0):
             for side in range(2):
                 kind += 1
                 workspace.found[kind] = -1
                 workspace.score[:] = 0.0
                 speaks = False
                 for i in range(n):
-                    d = (1.0 if i == way else 0.0) if way < n else fitted.directions[v, way - n, i]
+                    d = (1.0 if i == direction else 0.0) if direction < n else fitted.directions[v, direction - n, i]
                     if d != 0.0:
                         speaks = True
                         _add(workspace.residual, i, d if side == 0 else -d, workspace.score)
@@ -141,7 +141,7 @@ def _search(
 
 @leaf_kernel
 def _select(data: Data, fitted: Fitted, v: int, index: int) -> None:
-    """Put one datum among those that bound the residual function."""
+    """Add one datum to those that bound the residual function."""
     held = fitted.held[v]
     for c in range(data.z.shape[0]):
         fitted.z[v, c, held] = data.z[c, index]
@@ -198,8 +198,8 @@ def choose_many(
     data: Data, rows: IntArray, fitted: Fitted, membership: bool, free: IntArray, increments: bool,
     state: FloatArray, past: FloatArray, inputs: FloatArray,
 ) -> None:  # fmt: skip
-    """``choose_one`` for models whose data stand in ``rows`` (B,) of ``data``, on the ways that begin at ``state``
-    (B, n), with lagged inputs ``past`` (B, lags, m) and centers of inputs ``inputs`` (B, N, m).
+    """``choose_one`` for models whose data stand in ``rows`` (B,) of ``data``, on the paths that begin at ``state`` (B,
+    n), with lagged inputs ``past`` (B, lags, m) and centers of inputs ``inputs`` (B, N, m).
 
     ``free``: the states among the regressors. ``increments``: the model gives changes of states, not states.
     """

@@ -109,7 +109,8 @@ def _weigh(stream: StreamingMoments, slot: int, index: int, sign: float) -> None
 
 @kernel
 def sum_anew(stream: StreamingMoments, slot: int, size: int, workspace: FloatArray) -> None:
-    """Moments from the data at the first ``size`` places, about their mean; ``workspace`` (1 + p + n, size)."""
+    """Recompute the moments from the data at the first ``size`` indices, about their mean; ``workspace`` (1 + p + n,
+    size)."""
     p = stream.z.shape[1]
     valid = stream.valid[slot]
     for j in range(size):

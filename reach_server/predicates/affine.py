@@ -1,8 +1,8 @@
 """Predicates ``h >= 0`` with h affine in the state, its coefficients given by the context.
 
 For any point p, ``h(x) = h(p) + J (x - p)``, where h(p) and J depend on the context alone. So they are enclosed once
-for all steps of a horizon (``Series``), with p the middle of the last received state. With a the midpoint of J, for
-true states x of the zonotope ``<c, G>``,
+for all steps of a horizon (``ContextCache``), with p the middle of the last received state. With a the midpoint of J,
+for true states x of the zonotope ``<c, G>``,
 
     h(x) <= h(p) + a·(c - p) + |J - a| (|c - p| + |G|₁) + a·(x - c) ,
 
@@ -57,7 +57,7 @@ class AffineEnclosure(NonlinearEnclosure):
         uncertainty: StateUncertainty | None,
         sign: float,
     ) -> Above:
-        """A linear function that is nowhere on the true states of the sets less than ``sign`` h."""
+        """A linear upper bound of ``sign`` h on the true states of the sets."""
         coordinates = list(self.field.coordinates)
         middle_of, columns = center[:, coordinates], generators[:, coordinates]
         if uncertainty is not None:

@@ -1,4 +1,4 @@
-"""Predicates as cuts: the sets of a batch of branches, each cut by the predicates that its branch asks for."""
+"""Cuts of the sets of a batch of branches by the predicates that each branch asks for."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ class StepContexts(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutSets:
-    """Sets (R) after their cuts; where a literal left certainly nothing, and where it acted, (R, L)."""
+    """Sets (R) after their cuts; where a literal certainly left nothing, and where it cut, (R, L)."""
 
     sets: RawSets
     empty: NDArray[np.bool_]
@@ -45,7 +45,7 @@ def cut_sets(
 ) -> CutSets:
     """Cut sets (R) by the literals that are asked for, (R, L), over their first ``n`` coordinates: outer bounds.
 
-    What leaves certainly nothing is not applied; the caller drops such a branch.
+    A cut that certainly leaves nothing is not applied; the caller drops such a branch.
     """
     kind = CUT_KINDS[method]
     if kind.adds_constraints:
@@ -82,7 +82,7 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Zonotopes:
-    """Zonotopes (R) on the way through their cuts; ``empty`` and ``active`` (R, L) as in ``CutSets``."""
+    """Zonotopes (R) between cuts; ``empty`` and ``active`` (R, L) as in ``CutSets``."""
 
     sets: RawSets
     empty: NDArray[np.bool_]
@@ -91,7 +91,7 @@ class _Zonotopes:
     plane: tuple[int, int] | None
 
     def narrowed(self, asked: Sequence[_Asked]) -> "_Zonotopes":
-        """After the strips of some literals, all at once; notes what they did."""
+        """The zonotopes cut by the strips of some literals, all at once."""
         if not asked:
             return self
         found = strips.narrow(

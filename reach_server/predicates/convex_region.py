@@ -27,7 +27,7 @@ from side_info.stl.predicates import DiscPredicate
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvexRegionEnclosure:
-    """A region within the tangents ``region``, and its definition, which is asked whether a set lies in it."""
+    """A region within the tangents ``region``, and its definition, which says whether a set lies in it."""
 
     region: FixedStrips
     definition: NonlinearEnclosure

@@ -1,4 +1,4 @@
-"""What fixed strips come to on many sets: the loops behind ``HalfspaceEnclosure.verdict``, compiled.
+"""Verdicts of fixed strips on many sets, compiled: the loops behind ``HalfspaceEnclosure.verdict``.
 
 The range of each linear form is an outer bound: sums and products that are no floating-point numbers are rounded
 outwards by one unit in the last place.

@@ -67,5 +67,5 @@ def missed(strips: Strips, center: FloatArray, generators: FloatArray) -> BoolAr
 
 
 def verdict_of(holds: BoolArray, never: BoolArray) -> Verdict:
-    """The status from what is certain; a contradiction, which only rounding makes, is none."""
+    """The verdict from what is certain; a contradiction, which only rounding makes, counts as ``MAY_HOLD``."""
     return np.where(holds == never, 0, np.where(holds, 1, -1)).astype(np.int8)

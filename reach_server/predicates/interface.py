@@ -1,4 +1,4 @@
-"""What a predicate gives and needs: strips, the context it refers to, and the states that a set speaks about."""
+"""The interface of predicates: strips, verdicts, the context, and the uncertainty of the states in a set."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
@@ -19,7 +19,7 @@ NEVER: Final = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """What predicates of R rows refer to besides the state.
+    """The quantities besides the state that predicates of R rows refer to.
 
     ``t`` (R,): seconds since the scenario's time zero. ``k`` (R,): samples ahead of the last received one. ``last_t``
     (R,): ``t`` of the last received sample. ``last_lower``, ``last_upper`` (R, n): a box around the true state at that
@@ -39,7 +39,7 @@ class Context:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextCache:
-    """A context of many rows, and what predicates have found out about it, by predicate."""
+    """A context of many rows, and results computed for it, by predicate."""
 
     context: Context
     found: dict[Any, Any] = field(default_factory=dict)
@@ -79,7 +79,7 @@ class StateUncertainty:
 
 
 class PredicateEnclosure(Protocol):
-    """A predicate over the states of a class, ready to be asked."""
+    """A predicate over the states of a class, enclosed over sets."""
 
     @property
     def fixed(self) -> bool:

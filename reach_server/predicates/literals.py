@@ -1,4 +1,4 @@
-"""The predicates that a vehicle class is asked about, compiled once."""
+"""The predicates of a vehicle class, compiled once."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -59,9 +59,10 @@ class Literals:
     ) -> int:
         """The number of a literal: ``predicate`` holds at some time up to ``margin_ns`` from the sample.
 
-        ``index`` gives the place of each of the scenario's states, ``speed`` (n,) bounds how fast states move, per
-        second, in the units of the profile; ``k`` and the last received state are those of the sample. The same literal
-        again has the same number. Raises ``ScenarioError`` for a predicate that cannot be compiled.
+        ``index`` gives the position of each of the scenario's states in the state vector, ``speed`` (n,) bounds how
+        fast states move, per second, in the units of the profile; ``k`` and the last received state are those of the
+        sample. The same literal again has the same number. Raises ``ScenarioError`` for a predicate that cannot be
+        compiled.
         """
         margin = margin_ns * 1e-9 * (1 + 4 * EPS)
         motion = np.broadcast_to(np.asarray(speed, dtype=np.float64), (self._n,)) * margin
@@ -75,7 +76,7 @@ class Literals:
 
     @property
     def looks_back(self) -> BoolArray:
-        """Which literals (L,) speak about the way from the last received sample."""
+        """Which literals (L,) refer to the path since the last received sample."""
         return np.array([entry.looks_back for entry in self._entries], dtype=bool)
 
     @property
@@ -106,7 +107,7 @@ class Literals:
         return found
 
     def verdict(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
-        """What the literals ``ids`` (L,) come to on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
+        """Verdicts of the literals ``ids`` (L,) on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
         (R, L).
 
         ``HOLDS`` of all states of the set, ``NEVER`` of one, both certain; ``MAY_HOLD``: not known.
@@ -156,7 +157,7 @@ def _looks_back(predicate: Predicate) -> bool:
 
 
 def _content(predicate: Predicate) -> tuple[object, ...]:
-    """What a predicate says, as a value that can be looked up."""
+    """A hashable value that says what a predicate says."""
     match predicate:
         case LinearPredicate(_, coefficients, lower, upper):
             return tuple(coefficients.items()), lower, upper

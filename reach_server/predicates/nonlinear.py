@@ -28,7 +28,7 @@ NEARLY_CONCAVE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearEnclosure:
-    """The predicate that a ``field`` is not negative, over the first n states of a class."""
+    """The predicate ``field >= 0`` over the first n states of a class."""
 
     field: PredicateFunction
     n: int

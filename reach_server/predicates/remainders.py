@@ -1,4 +1,4 @@
-"""What a second derivative can add to a linear bound: ``½ dᵀH d`` over a zonotope and all H between bounds.
+"""Upper bounds of the second-order remainder of a linear bound: ``½ dᵀH d`` over a zonotope and all H between bounds.
 
 With ``H = M + E``, ``|E| <= R`` entry by entry, and ``d = Gξ``, ``|ξ| <= 1`` (the quadratic map of a zonotope [Alt10]):
 

@@ -38,7 +38,7 @@ Rows = NDArray[np.intp]
 
 
 class Motion(Protocol):
-    """How sets move on from step to step."""
+    """A model that moves sets from step to step."""
 
     @property
     def horizon(self) -> int:
@@ -72,8 +72,8 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideInformation:
-    """What obligations and literals mean: ``contexts(k)`` says what predicates refer to at step k, by literal and
-    tracks (K,)."""
+    """The table of obligations, the literals and how they cut; ``contexts(k)`` gives the contexts of predicates at step
+    k, by literal and tracks (K,)."""
 
     table: Table
     literals: Literals
@@ -145,7 +145,7 @@ def _narrowed(
     n: int,
     tube: Tube,
 ) -> Branches:
-    """The branches after the alternatives of step ``k``; notes in ``tube`` what cut them, and where none is left."""
+    """The branches after the alternatives of step ``k``; records in ``tube`` what cut them, and where none is left."""
     table = side.table
     expansion = table.expand(branches.obligation)
     parent = expansion.parent
@@ -179,7 +179,7 @@ def _covered(
     """Which rows (R,) need not be followed: another row that stays covers their trajectories.
 
     ``pairs`` (i, j): the obligation after i entails that after j, both of one parent. Row j covers i if every literal
-    that acted on j was asked of i, too.
+    that cut j was asked of i, too.
     """
     i, j = pairs
     covers = alive[i] & alive[j] & ~(active[j] & ~asked[i]).any(axis=1)

@@ -1,4 +1,4 @@
-"""The sets of vehicles whose scenarios may branch, or ask for predicates that depend on the set: step by step."""
+"""Reachable sets of vehicles whose scenarios may branch or ask for predicates that depend on the set, step by step."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ def branching(
     start: RawSets,
     rows: NDArray[np.intp],
     asked: tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.bool_]],
-    instants: InitialConditions,
+    initial: InitialConditions,
     side: Assignments,
     profile: VehicleProfile,
 ) -> ReachSets:
@@ -38,7 +38,7 @@ def branching(
     everything = np.concatenate([np.full(count, TRUE, dtype=np.int64), obligation])
     own = np.concatenate([np.arange(count), with_side])
     tracks = Hypotheses(vehicle, take_rows(start, vehicle), track, everything, tested[vehicle], own)
-    contexts = side.contexts(instants)
+    contexts = side.contexts(initial)
     knowledge = SideInformation(
         side.table, side.literals, lambda k, which: contexts(k, vehicle[which]), profile.cuts, side.plane
     )
@@ -76,7 +76,8 @@ def _bounded(steps: tuple[RawSets, ...]) -> NDArray[np.bool_]:
 
 
 def _responsible(tube: Tube, own: NDArray[np.intp], side: Assignments) -> dict[int, tuple[int, list[int]]]:
-    """By vehicle, ``own`` (T,) of the tracks: the step at which the last branch was empty, and what took part."""
+    """By vehicle, ``own`` (T,) of the tracks: the step at which the last branch was empty, and the literals that took
+    part."""
     responsible = {}
     for track in np.flatnonzero(tube.ended >= 0).tolist():
         # What cut before may be as wrong as what left nothing: all scenarios that took part are named.

@@ -1,9 +1,9 @@
-"""Where the vehicles of a batch can be over the horizon, cut by what their scenarios ask: the sets behind a tube.
+"""Reachable sets of the vehicles of a batch over the horizon, cut by their scenarios: the sets behind a tube.
 
-Two ways lead here. A vehicle whose scenarios ask, at every step, for one set of constant half-spaces and strips is
-*straight*: all of its steps are computed in one compiled loop. Every other vehicle may have branches, and predicates
-that depend on the set; its steps are computed one after the other, with all such vehicles of the batch together. Which
-way a vehicle goes depends on itself alone.
+They are computed in two ways. A vehicle whose scenarios ask, at every step, for one set of constant half-spaces and
+strips is *unbranched*: all of its steps are computed in one compiled loop. Every other vehicle may have branches, and
+predicates that depend on the set; its steps are computed one after the other, with all such vehicles of the batch
+together. Which way a vehicle goes depends on itself alone.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class ReachSets:
     """Sets of B vehicles at steps 1 to N, and those without side information, ``free``.
 
     ``area`` and ``area_free`` (B, N), ``heights`` (B, N, K) over the directions of an outline and ``hull`` (B, N, 2, n)
-    as in ``Figures``. ``active`` (B, N, L): the literals that cut the sets of a step. ``bounded`` (B,): all sets are
+    as in ``SetSummary``. ``active`` (B, N, L): the literals that cut the sets of a step. ``bounded`` (B,): all sets are
     finite. ``emptied`` (B,): cuts left nothing, so that the sets are the free ones. ``excluded`` (B,): the data
     excludes the stated bounds. ``responsible``: by row of a vehicle whose cuts left nothing, the step at which, and the
     literals that took part.
@@ -48,7 +48,7 @@ class ReachSets:
 
     @staticmethod
     def of(tubes: UnbranchedTubes, schedule: CutSchedule, literals: int) -> "ReachSets":
-        """Those of straight vehicles."""
+        """The sets of unbranched vehicles."""
         return ReachSets(
             _zonotopes(tubes.center, tubes.generators), _zonotopes(tubes.free_center, tubes.free_generators),
             tubes.area, tubes.area_free, tubes.heights, tubes.hull,
@@ -67,7 +67,7 @@ class ReachSets:
         return np.asarray(self.bounded & fits)
 
     def rows(self, rows: NDArray[np.intp]) -> "ReachSets":
-        """Those of some vehicles (K,), in that order."""
+        """The sets of some vehicles (K,), in that order."""
         arrays: list[Any] = []
         for f in fields(self)[:-1]:
             value = getattr(self, f.name)
@@ -78,7 +78,7 @@ class ReachSets:
 
     @staticmethod
     def together(parts: Sequence["ReachSets"], order: NDArray[np.intp]) -> "ReachSets":
-        """Those of several batches one after the other, then in the ``order`` of rows given."""
+        """The sets of several batches, concatenated and then put into the ``order`` of rows given."""
         if len(parts) == 1:
             # One batch is in order.
             return parts[0]

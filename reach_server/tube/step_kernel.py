@@ -6,11 +6,12 @@ the first ``used`` columns count; r further rows are those of constraints on the
 from ``live`` on are zero: inputs that are points need no generators.
 
 The regressors q are the states of the model, the input of the step and the lagged ones; their set S is that of the same
-factors. With the model M and the set E(S) of the residual function (``residuals``), the next state, or the increment,
-lies in ``M (1 × S) ⊕ E(S) ⊕ Z_w``: exactly the paper's recursion, with bounds for S in place of one for all sets.
+factors. With the model M and the set E(S) of the residual function (``set_membership``), the next state, or the
+increment, lies in ``M (1 × S) ⊕ E(S) ⊕ Z_w``: exactly the paper's recursion, with bounds for S in place of one for all
+sets.
 
-In the body frame the increment is turned by the heading (``turning``); at last generators are reduced
-(``sets.girard``).
+In the body frame the increment is turned by the heading (``rotation_kernel``); at last generators are reduced
+(``sets.kernels.girard``).
 
 Rounding. Every number is a sum of at most p + G + 8 products; ``(p + G + 16) EPS`` times the sizes of the terms, of
 state and increment, is added to the box of each step.
@@ -30,11 +31,11 @@ from reach_server.tube.rotation_kernel import turn_one
 
 
 class StepSpec(NamedTuple):
-    """How the sets of a class move on: ``free`` (f,), the states among the regressors; ``pose``, where increments
-    are in the vehicle's own frame: indices of two positions and the heading, else -1; ``plane`` in which areas
-    count, or -1; numbers of inputs ``m`` and ``lags``; process noise, ``axis`` half-widths (n,) and further
-    generators ``process`` (n, g); whether set membership is used; ``order``, how many
-    generators a set keeps for each of its live rows."""
+    """One step of the sets of a class: ``free`` (f,), the states among the regressors; ``pose``, where increments are
+    in the vehicle's own frame: indices of two positions and the heading, else -1; ``plane`` in which areas count, or
+    -1; numbers of inputs ``m`` and ``lags``; process noise, ``axis`` half-widths (n,) and further generators
+    ``process`` (n, g); whether set membership is used; ``order``, how many generators a set keeps for each of its live
+    rows."""
 
     free: IntArray
     pose: tuple[int, int, int]
@@ -48,7 +49,7 @@ class StepSpec(NamedTuple):
 
 
 class StepWorkspace(NamedTuple):
-    """Room for one step: regressors ``q`` and their ``half`` (p,), ``moved`` (n, G) and its center ``shift`` (n,),
+    """Arrays of one step: regressors ``q`` and their ``half`` (p,), ``moved`` (n, G) and its center ``shift`` (n,),
     what is added to the box ``extra`` (n,), the ``rest`` of a turn (4,), ``score`` (2, G), ``width`` (z + r,) and
     ``order`` (G,) of a reduction, and ``hull``, that of the residual set."""
 
@@ -66,7 +67,7 @@ class StepWorkspace(NamedTuple):
 
 @kernel
 def step_workspace(fitted: Fitted, columns: int, rows: int) -> StepWorkspace:
-    """Room for sets of ``rows`` rows and up to ``columns`` columns."""
+    """Workspace for sets of ``rows`` rows and up to ``columns`` columns."""
     n, p = fitted.slope.shape[1:]
     return StepWorkspace(
         np.empty(p), np.empty(p), np.empty((n, columns)), np.empty(n), np.empty(n), np.empty(4),
@@ -77,8 +78,8 @@ def step_workspace(fitted: Fitted, columns: int, rows: int) -> StepWorkspace:
 @kernel
 def columns_added(fitted: Fitted, rules: StepSpec) -> int:
     """Columns that one step adds at most, before it is reduced."""
-    n, ways = fitted.low.shape[1], fitted.directions.shape[1]
-    return int(rules.m + fitted.noise.shape[2] + n + 2 * (n + ways) + rules.process.shape[1] + n + 2)
+    n, directions = fitted.low.shape[1], fitted.directions.shape[1]
+    return int(rules.m + fitted.noise.shape[2] + n + 2 * (n + directions) + rules.process.shape[1] + n + 2)
 
 
 @leaf_kernel
@@ -279,8 +280,9 @@ def advance_many(
     new_centers: FloatArray,
     new_generators: FloatArray,
 ) -> tuple[int, NDArray[np.bool_]]:
-    """``advance_one`` for sets (R, z) and (R, z + r, G) of the vehicles (R,), under inputs (V, m): most columns
-    used, and contradicted (R,). Columns of zeros do not count, so that a set moves on alike whatever is beside it."""
+    """``advance_one`` for sets (R, z) and (R, z + r, G) of the vehicles (R,), under inputs (V, m): most columns used,
+    and contradicted (R,). Columns of zeros do not count, so that the result of a set does not depend on the sets beside
+    it."""
     rows, columns = generators.shape[1:]
     wrong = np.empty(len(centers), np.bool_)
     workspace = step_workspace(fitted, new_generators.shape[2], rows)

@@ -14,7 +14,7 @@ from reach_server.predicates.cut_kinds import CUT_KINDS, CutMethod
 from reach_server.sets.kernels.planar import figures_one
 from reach_server.sets.kernels.strip import ACTED, WORK, narrow_one
 from reach_server.tube.cut_schedule import CutSchedule
-from reach_server.tube.summaries import WAYS
+from reach_server.tube.summaries import OUTLINE_DIRECTIONS
 
 __all__ = ["AskedStrips", "CutSchedule", "UnbranchedTubes", "asked_strips", "box_tubes", "most_asked"]
 
@@ -53,7 +53,7 @@ class UnbranchedTubes(NamedTuple):
 
 class AskedStrips(NamedTuple):
     """A schedule for kernels: the strips of ``ScheduledStrips``, asked for where ``asked`` (B, N + 1, C); the plane;
-    ``frobenius``, whether a cut is kept that makes the set larger; and the directions ``ways`` (K, 2) of outlines."""
+    ``frobenius``, whether a cut is kept that makes the set larger; and the ``directions`` (K, 2) of outlines."""
 
     asked: BoolArray
     normal: FloatArray
@@ -63,7 +63,7 @@ class AskedStrips(NamedTuple):
     flat: FloatArray
     plane: tuple[int, int]
     frobenius: bool
-    ways: FloatArray
+    directions: FloatArray
 
 
 class BoxSets(NamedTuple):
@@ -81,7 +81,7 @@ def asked_strips(schedule: CutSchedule, plane: tuple[int, int], cuts: CutMethod)
     strips = schedule.strips
     return AskedStrips(
         schedule.asked, strips.normal, strips.lower, strips.upper, strips.planar, strips.flat, plane,
-        CUT_KINDS[cuts].keeps_larger_result, WAYS,
+        CUT_KINDS[cuts].keeps_larger_result, OUTLINE_DIRECTIONS,
     )  # fmt: skip
 
 
@@ -120,9 +120,9 @@ def _box_tubes(sets: BoxSets, asked: AskedStrips, added: int) -> UnbranchedTubes
     """The tubes of ``box_tubes``, with room for ``added`` columns of cuts."""
     free_center, free_generators, start_center, start_generators = sets
     normals, lower, upper, planar, flat = asked.normal, asked.lower, asked.upper, asked.planar, asked.flat
-    (plane0, plane1), frobenius, ways = asked.plane, asked.frobenius, asked.ways
+    (plane0, plane1), frobenius, directions = asked.plane, asked.frobenius, asked.directions
     vehicles, steps, n, g = free_generators.shape
-    first, strips, sides = start_generators.shape[2], len(lower), len(ways)
+    first, strips, sides = start_generators.shape[2], len(lower), len(directions)
     widest = max(g, first) + added
     center, generators = np.zeros((vehicles, steps, n)), np.zeros((vehicles, steps, n, widest))
     used = np.full((vehicles, steps), g)
@@ -146,7 +146,7 @@ def _box_tubes(sets: BoxSets, asked: AskedStrips, added: int) -> UnbranchedTubes
             if k > 0:
                 area[b, k - 1] = figures_one(
                     own_center, own, columns, n, plane0, plane1, flat, lower, upper, none,
-                    ways, own_heights, own_hull, vertices, work,
+                    directions, own_heights, own_hull, vertices, work,
                 )  # fmt: skip
                 area_free[b, k - 1] = area[b, k - 1]
             asks = False
@@ -174,7 +174,7 @@ def _box_tubes(sets: BoxSets, asked: AskedStrips, added: int) -> UnbranchedTubes
                 if acts and k > 0:
                     cut_area = figures_one(
                         cut_center, cut, columns, n, plane0, plane1, flat, lower, upper, on,
-                        ways, cut_heights, cut_hull, vertices, work,
+                        directions, cut_heights, cut_hull, vertices, work,
                     )  # fmt: skip
                     better = frobenius or cut_area <= area_free[b, k - 1]
                     if better:

@@ -85,7 +85,7 @@ def _recursion_tubes(
     initial: InitialSets, fitted: Fitted, rules: StepSpec, rows: IntArray, strips: AskedStrips, widest: int
 ) -> UnbranchedTubes:
     """Tubes of some rows; ``widest`` columns are enough for a set after a reduction or a cut."""
-    (vehicles, steps, count), n, sides = strips.asked.shape, initial.start.shape[1], len(strips.ways)
+    (vehicles, steps, count), n, sides = strips.asked.shape, initial.start.shape[1], len(strips.directions)
     z, steps = n + rules.lags * rules.m, steps - 1
     columns = widest + columns_added(fitted, rules)
     shape = (vehicles, steps)
@@ -181,7 +181,7 @@ def _summarize(track: Track, used: int, n: int, strips: AskedStrips, on: BoolArr
     """The area of a track; its heights and hull are set."""
     return figures_one(
         track.center, track.generators, used, n, strips.plane[0], strips.plane[1], strips.flat, strips.lower,
-        strips.upper, on, strips.ways, track.heights, track.hull, workspace.vertices, workspace.work,
+        strips.upper, on, strips.directions, track.heights, track.hull, workspace.vertices, workspace.work,
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Compiled: features of the horizon model, the increments that it predicts, and the regressors of the size of errors.
 
-All of one vehicle, whose ring buffers are given. A sample is named by its number in the stream, counted from 0; it
-stands at that number modulo the size of the ring.
+All functions work on the ring buffers of one vehicle. A sample is named by its number in the stream, counted from 0;
+its index is that number modulo the size of the ring.
 """
 
 import math
@@ -18,7 +18,7 @@ Runs = NDArray[np.int32]
 
 @kernel
 def turned(angle: float) -> float:
-    """An angle brought to [-pi, pi)."""
+    """The angle wrapped to [-pi, pi)."""
     if -math.pi <= angle < math.pi:
         return angle
     return float((angle + math.pi) % (2 * math.pi) - math.pi)
@@ -26,7 +26,7 @@ def turned(angle: float) -> float:
 
 @kernel
 def increment(t: IntArray, x: FloatArray, before: int, spec: FeatureSpec, out: FloatArray, at: int) -> None:
-    """Change from the sample at place ``before`` to the one after it, brought to the nominal interval; positions in the
+    """Change from the sample at index ``before`` to the one after it, scaled to the nominal interval; positions in the
     frame of the earlier sample. Goes to ``out`` from ``at`` on."""
     after = before + 1 if before + 1 < len(t) else 0
     elapsed = t[after] - t[before]
@@ -124,7 +124,7 @@ def step_sizes(
     samples: Samples, slot: int, number: int, spec: FeatureSpec, change: FloatArray, fastest: FloatArray
 ) -> None:
     """Raise ``fastest`` (n,) to the magnitudes of the change that led to a sample, if it follows one and neither is a
-    glitch; of the positions of a pose the length of the way counts. ``change`` (n,) is room."""
+    glitch; for the positions of a pose the distance counts. ``change`` (n,) is a workspace."""
     t, x, gated = samples.t[slot], samples.x[slot], samples.gated[slot]
     index, before = number % len(t), (number - 1) % len(t)
     if number < 1 or samples.run[slot, index] < 1 or gated[index] or gated[before]:
@@ -151,7 +151,7 @@ def complete(run: Runs, known: BoolArray, number: int, spec: FeatureSpec) -> boo
 @kernel
 def usable(run: Runs, known: BoolArray, gated: BoolArray, number: int, spec: FeatureSpec) -> bool:
     """Whether a sample is a datum of the model: features complete, N samples follow it (with their inputs, if these
-    enter), and no glitch is among those that tell of the pose."""
+    enter), and no glitch is among those that the pose is taken from."""
     size, steps = len(run), spec.horizon
     if run[(number + steps) % size] < spec.reach + steps or not complete(run, known, number, spec):
         return False
@@ -212,7 +212,7 @@ def _speed(phi: FloatArray, spec: FeatureSpec) -> float:
 
 @kernel
 def range_regressors(phi: FloatArray, h: int, spec: FeatureSpec, out: FloatArray) -> None:
-    """Those of the above that grow from step to step: how far inputs vary from their oldest lags to the last that are
+    """The size regressors that grow from step to step: how far inputs vary from their oldest lags to the last that are
     known for step ``h``."""
     column = 1 + int(spec.speed >= 0) + 2 * int(spec.speed >= 0 and spec.heading >= 0)
     for i in range(spec.m):

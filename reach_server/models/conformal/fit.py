@@ -1,4 +1,5 @@
-"""Compiled: the model of a vehicle, from all data of its window or carried on by the data that enter and leave."""
+"""Compiled: the ridge model of a vehicle, fitted to all data of its window or updated with the data that enter and
+leave."""
 
 import math
 
@@ -58,8 +59,9 @@ def count_usable(samples: Samples, count: IntArray, slots: IntArray, spec: Featu
 def carry_on(
     samples: Samples, count: IntArray, slots: IntArray, model: Model, spec: FeatureSpec, outgrown: BoolArray
 ) -> None:
-    """Let data enter and leave the sums of vehicles (B,), and solve anew. What leaves must still be in the window, with
-    all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the units of features."""
+    """Update the sums of vehicles (B,) with the data that enter and leave, and solve again. What leaves must still be
+    in the window, with all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the
+    units of features."""
     lower, begins = np.empty((spec.total, spec.total)), first_columns(spec)
     z, y = np.empty(spec.total), np.empty(spec.horizon * spec.n)
     for b in range(len(slots)):
@@ -230,7 +232,7 @@ def _out_of_fold(
 
 @kernel
 def _complete(codes: Codes, numbers: IntArray, errors: FloatArray, spec: FeatureSpec) -> None:
-    """Put errors (rows, N n) on record where none is known."""
+    """Record errors (rows, N n) where none is known."""
     for k in range(len(numbers)):
         for h in range(spec.horizon):
             index = (numbers[k] + h + 1) % len(codes)

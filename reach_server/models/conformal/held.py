@@ -1,4 +1,4 @@
-"""Compiled: predictions and boxes that are held within bounds of how far a vehicle can get.
+"""Compiled: predictions and boxes, limited to how far a vehicle can get.
 
 A state that has stated bounds ahead (``models.kinematic_bounds``) is held within these. One without is held within
 ``MARGIN`` times the greatest change from one sample to the next that the window shows, for every step: what it has
@@ -22,18 +22,18 @@ from reach_server.numeric.types import BoolArray, FloatArray
 
 
 class Bounds(NamedTuple):
-    """Stated bounds of states of B vehicles ahead: ``low`` and ``high`` (B, N, n) of each state, ``way`` (B, N) of how
-    far a pose is from the one of now; infinite where nothing is stated. ``noisy``: they speak about true states, and
-    how far measured ones are off is not stated: as far as the greatest change that was observed, times ``MARGIN``."""
+    """Stated bounds of states of B vehicles ahead: ``low`` and ``high`` (B, N, n) of each state, ``distance`` (B, N) of
+    a pose from the one of now; infinite where nothing is stated. ``noisy``: they speak about true states, and how far
+    measured ones are off is not stated: as far as the greatest change that was observed, times ``MARGIN``."""
 
     low: FloatArray
     high: FloatArray
-    way: FloatArray
+    distance: FloatArray
     noisy: bool
 
     @classmethod
     def none(cls, vehicles: int, horizon: int, n: int) -> "Bounds":
-        """Nothing is stated."""
+        """Infinite bounds."""
         far = np.full((vehicles, horizon, n), np.inf)
         return cls(-far, far, far[:, :, 0].copy(), False)
 
@@ -59,7 +59,7 @@ def bounds_of(
             most = slack * (h + 1)
             beyond = slack if bounds.noisy else 0.0
             if spec.heading >= 0 and i in (spec.first, spec.second):
-                least, greatest = -bounds.way[b, h] - beyond, bounds.way[b, h] + beyond
+                least, greatest = -bounds.distance[b, h] - beyond, bounds.distance[b, h] + beyond
             else:
                 least, greatest = bounds.low[b, h, i] - x[i] - beyond, bounds.high[b, h, i] - x[i] + beyond
             stated[i] = stated[i] and least > -math.inf and greatest < math.inf

@@ -1,4 +1,4 @@
-"""Compiled: predictions from the newest samples, and what later samples say about them."""
+"""Compiled: predictions from the newest samples, and their scores once later samples have come."""
 
 import math
 
@@ -55,7 +55,7 @@ def error_in_frame(
     spec: FeatureSpec,
     error: FloatArray,
 ) -> None:
-    """Measured state at a place minus predicted state (N, n) of step ``h``, ``error`` (n): angles by the shorter way,
+    """Measured state at an index minus predicted state (N, n) of step ``h``, ``error`` (n): angles by the shorter way,
     positions in the frame whose heading has this cosine and sine."""
     for i in range(spec.n):
         error[i] = x[index, i] - center[h, i]
@@ -214,8 +214,8 @@ def observe(
     confidence: float,
     gate: IntArray,
 ) -> None:
-    """Hold the new samples of vehicles (B,) against the predictions that wait for them; ``gate`` (B,) becomes the place
-    of a sample found to be a glitch, else -1."""
+    """Score the pending predictions of vehicles (B,) by their new samples; ``gate`` (B,) becomes the index of a sample
+    found to be a glitch, else -1."""
     indices = samples.t.shape[1]
     error = np.empty(spec.n)
     for b in range(len(slots)):
@@ -237,7 +237,7 @@ def observe(
 
 @kernel
 def _forget(record: ScoreHistory, slot: int, index: int, confidence: float) -> None:
-    """Remove the errors that the sample at a place showed."""
+    """Remove the errors that the sample at an index showed."""
     _, groups, _, kinds = record.scores.shape
     for g in range(groups):
         scores, known, limits = record.scores[slot, g], record.known[slot, g], record.limits[slot, g]

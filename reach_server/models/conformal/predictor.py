@@ -1,4 +1,4 @@
-"""Calibrated sets of the vehicles of a class, in a stream of samples.
+"""Conformal prediction of the vehicles of a class from a stream of samples.
 
 What is claimed: if the errors to come are exchangeable with those on record, a set of step h holds the next measured
 state with probability at least the profile's ``confidence`` [VGS05, chapter 2]. For the newest sample k with features
@@ -47,8 +47,8 @@ LEAST_BEYOND = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """How calibrated sets go on: each step has a box of its own, whatever cut the one before. It holds the state that
-    will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
+    """Calibrated boxes, a ``Motion``: each step has a box of its own, whatever cut the one before. It holds the state
+    that will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
 
     ``center`` (B, N, n); ``half`` (B, N, n) half-widths in the frame of the newest sample; ``generators`` (B, N, n, n)
     the same, turned to the world. ``unseen`` (B, n + m): states and inputs of which what enters the model lies outside
@@ -97,7 +97,7 @@ def least_window(confidence: float) -> int:
 
 
 class ConformalPredictor:
-    """Models, sizes and margins of the vehicles of a class, by slot; what they are made of stands in ``window``.
+    """Models, sizes and margins of the vehicles of a class, by slot; their samples are in ``window``.
 
     Sets hold the next measured states at a rate [VGS05], no set is guaranteed (mathematics, section 5). ``slots`` (B,)
     name the vehicles asked about. Per tick, in this order: ``observe``, ``refit``, ``predict``. Equal data gives equal
@@ -232,7 +232,7 @@ class ConformalPredictor:
             self._renew(slots[renewed])
 
     def _renew(self, slots: IndexArray) -> None:
-        """Fit vehicles anew that have a model; those of which too little is left lose it."""
+        """Refit vehicles that have a model; those with too few data left lose it."""
         poor = self._data(slots) < self.least
         self._pending.fitted[slots[poor]] = False
         slots = slots[~poor]
@@ -245,7 +245,7 @@ class ConformalPredictor:
         self._renewal[slots] = self._window.count[slots] + self._period(slots)
 
     def _begin(self, slots: IndexArray) -> None:
-        """The first models of some vehicles, or the first after all has moved in their windows."""
+        """Fit the first models of some vehicles, or the first after their windows have changed as a whole."""
         data = self._data(slots)
         self._pending.fitted[slots] = False
         slots = slots[data >= self.least]
@@ -280,8 +280,8 @@ class ConformalPredictor:
         return on_grid
 
     def _period(self, slots: IndexArray) -> IntArray:
-        """Samples (B,) after which all is fitted anew: a window, when its record shows nothing but what turned out;
-        half as many as there were while there were few."""
+        """Samples (B,) after which a model is fitted from scratch: a window, after which the record holds only scores
+        of real predictions; half as many as there were while there were few."""
         data = self._model.data[slots]
         return np.where(data < self._capacity // 2, np.maximum(data, self.least) // 2, self._span)
 
@@ -321,9 +321,9 @@ class ConformalPredictor:
     ) -> Boxes:
         """Sets of vehicles (B,) that are ``ready`` and ``known``, from their newest samples.
 
-        ``plan`` (B, N - 1, m) are the later inputs, where they enter the model. What is remembered is scored when the
-        samples come. ``bounds`` are what the profile states of the states ahead. Raises ``UsageError`` where a plan is
-        needed and none is given.
+        ``plan`` (B, N - 1, m) are the later inputs, where they enter the model. With ``remember`` the predictions are
+        scored when the samples come. ``bounds`` are what the profile states of the states ahead. Raises ``UsageError``
+        where a plan is needed and none is given.
         """
         spec = self._spec
         if spec.planned and plan is None:

@@ -9,7 +9,7 @@ from reach_server.numeric.types import FloatArray
 from reach_server.sets.raw import RawSets
 from reach_server.tube.reach_sets import ReachSets
 from reach_server.tube.state_bounds import within
-from reach_server.tube.summaries import WAYS, PlaneStrips, figures
+from reach_server.tube.summaries import OUTLINE_DIRECTIONS, PlaneStrips, summarize
 from tests.reach_server.ugly import moderate
 
 PLANE = (0, 1)
@@ -19,7 +19,7 @@ def reach_of(sets: RawSets) -> ReachSets:
     """One step, no side information."""
     count = len(sets.center)
     none = np.zeros(count, dtype=bool)
-    found = figures(sets, np.zeros((count, 0), dtype=bool), PlaneStrips.none(), PLANE)
+    found = summarize(sets, np.zeros((count, 0), dtype=bool), PlaneStrips.none(), PLANE)
     return ReachSets(
         (sets,), (sets,), found.area[:, None], found.area[:, None].copy(), found.heights[:, None], found.hull[:, None],
         np.zeros((count, 1, 0), dtype=bool), ~none, none, none, {},
@@ -86,7 +86,7 @@ def test_outline_and_hull_hold_the_intersection() -> None:
     for b in range(40):
         chosen = moved[b][np.asarray(both[b])]
         size = 1e-9 * (1 + np.abs(sets.center[b]).max())
-        assert (chosen[:, PLANE] @ WAYS.T <= found.heights[b, 0] + size).all()
+        assert (chosen[:, PLANE] @ OUTLINE_DIRECTIONS.T <= found.heights[b, 0] + size).all()
         assert (chosen >= found.hull[b, 0, 0] - size).all()
         assert (chosen <= found.hull[b, 0, 1] + size).all()
 

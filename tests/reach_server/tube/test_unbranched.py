@@ -16,7 +16,7 @@ from reach_server.sets.polygon import outer_polygon
 from reach_server.sets.raw import RawSets
 from reach_server.tube.branching import Branches, Hypotheses, SideInformation, propagate
 from reach_server.tube.cut_schedule import CutSchedule, CutScheduler
-from reach_server.tube.summaries import PlaneStrips, figures
+from reach_server.tube.summaries import PlaneStrips, summarize
 from reach_server.tube.unbranched import UnbranchedTubes, box_tubes
 from side_info import Scenario
 from side_info.progression import TRUE, Grid, Table
@@ -132,8 +132,8 @@ def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod) -> None:
         own = np.isin(step.track, whole)
         sets = RawSets.zonotope(step.sets.center[own], step.sets.generators[own])
         free = RawSets.zonotope(boxes.center[whole, k], boxes.generators[whole, k])
-        area = figures(sets, step.within[own], strips, PLANE).area
-        area_free = figures(free, step.within[own] & False, strips, PLANE).area
+        area = summarize(sets, step.within[own], strips, PLANE).area
+        area_free = summarize(free, step.within[own] & False, strips, PLANE).area
         np.testing.assert_allclose(found.area_free[whole, k], area_free)
         smaller = area if cuts == "frobenius" else np.minimum(area, area_free)
         np.testing.assert_allclose(found.area[whole, k], smaller, rtol=1e-9, atol=1e-12)

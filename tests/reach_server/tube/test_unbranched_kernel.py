@@ -17,7 +17,7 @@ from reach_server.sets.raw import RawSets
 from reach_server.tube.branching import Hypotheses, SideInformation, Tube, propagate
 from reach_server.tube.cut_schedule import CutSchedule, CutScheduler
 from reach_server.tube.recursion import Recursion
-from reach_server.tube.summaries import PlaneStrips, figures
+from reach_server.tube.summaries import PlaneStrips, summarize
 from reach_server.tube.unbranched import UnbranchedTubes
 from reach_server.tube.unbranched_kernel import recursion_tubes
 from side_info import Scenario
@@ -120,7 +120,7 @@ def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod, known: bool, 
     for k, step in enumerate(tube.steps[1:]):
         own = np.isin(step.track, whole)
         sets = take_rows(step.sets, own)
-        area = figures(sets, step.within[own], strips, PLANE).area
+        area = summarize(sets, step.within[own], strips, PLANE).area
         smaller = area if cuts == "frobenius" else np.minimum(area, found.area_free[whole, k])
         np.testing.assert_allclose(found.area[whole, k], smaller, rtol=1e-6)
 
