@@ -93,7 +93,7 @@ def _broken(drives: list[Drive], scenario: Scenario, parameters: SveaParameters)
     for k in range(points.shape[1]):
         nothing = np.zeros(len(drives))
         context = Context(nothing + k * parameters.dt, nothing, nothing, points[:, k], points[:, k])
-        status = literals.status(range(literals.count), points[:, k], exact, context)
+        status = literals.verdict(range(literals.count), points[:, k], exact, context)
         beliefs = [
             table.after(belief, frozenset(np.flatnonzero(row < 0).tolist()))
             for belief, row in zip(beliefs, status, strict=True)

@@ -69,5 +69,5 @@ def _holding(scenario: Scenario, states: FloatArray, index: dict[str, int]) -> N
     context = Context(nothing, nothing, nothing, points, points)
     literals = Literals(n, (0, 1), np.zeros((n, 0)))
     numbers = [literals.add(p, index, scenario=scenario.name, name=p.name) for p in scenario.predicates]
-    status = literals.status(numbers, points, np.zeros((len(points), n, 0)), context)
+    status = literals.verdict(numbers, points, np.zeros((len(points), n, 0)), context)
     return np.asarray(status >= 0).reshape(vehicles, count, -1)

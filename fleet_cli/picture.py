@@ -18,7 +18,7 @@ from reach_server.engine.results import Tubes
 from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Literals
 from reach_server.sets import polygon as planar
-from reach_server.tube.summaries import PlaneStrips, figures
+from reach_server.tube.summaries import PlaneStrips, summarize
 from side_info.documents.scenario import Scenario
 
 #: Instants shown, as parts of the scenario's length.
@@ -102,7 +102,7 @@ def _draw_vehicle(axis: Axes, monitor: Monitor, scenario: Scenario, vehicle: str
     plane = monitor.profiles[vehicle].position
     for k in range(0, len(tubes.steps), 3):
         center = tubes.free[k].center[0, list(plane)]
-        free: FloatArray = center + figures(tubes.free[k], nothing, PlaneStrips.none(), plane).outline()[0]
+        free: FloatArray = center + summarize(tubes.free[k], nothing, PlaneStrips.none(), plane).outline()[0]
         cut = tubes.steps[k].center[0, list(plane)] + tubes.outline[0, k]
         axis.add_patch(Polygon(free, closed=True, fc="none", ec="0.45", ls="--", lw=0.9))
         axis.add_patch(Polygon(cut, closed=True, fc=color, ec=color, alpha=0.45, lw=0.8))

@@ -81,7 +81,7 @@ def areas_apart(steps: Sequence[StepFigures], unit: str) -> str:
 def too_little(recordings: Sequence[Recording], profile: VehicleProfile) -> str:
     """Why no sample of recordings (columns as in the profile) could be predicted, with counts, and what to do."""
     layout = RegressorSpec.of(profile)
-    terms = FeatureSpec.of(profile, layout, profile.horizon, planned=profile.future_inputs == "plan")
+    spec = FeatureSpec.of(profile, layout, profile.horizon, planned=profile.future_inputs == "plan")
     total = off = steps = able = data = 0
     for recording in recordings:
         known = np.asarray(np.isfinite(recording.u).all(axis=1))
@@ -90,11 +90,11 @@ def too_little(recordings: Sequence[Recording], profile: VehicleProfile) -> str:
             regular = np.asarray(off_by <= profile.tolerance)
             total, off, steps = total + rows.stop - rows.start, off + int((~regular).sum()), steps + len(regular)
             row = _in_a_row(np.asarray(regular & known[rows.start + 1 : rows.stop]))
-            able += int((row >= terms.reach).sum())
-            data += int((row >= terms.reach + profile.horizon).sum())
-    needed = terms.reach + profile.horizon
+            able += int((row >= spec.reach).sum())
+            data += int((row >= spec.reach + profile.horizon).sum())
+    needed = spec.reach + profile.horizon
     counts = (
-        f"of {total} samples {able} have the {terms.reach} regular intervals with known inputs in a row before them "
+        f"of {total} samples {able} have the {spec.reach} regular intervals with known inputs in a row before them "
         f"that a prediction rests on, and {data} the {needed} that make a datum of the model with input_lags "
         f"{profile.input_lags} and horizon {profile.horizon}"
     )
@@ -113,9 +113,9 @@ def too_little(recordings: Sequence[Recording], profile: VehicleProfile) -> str:
 
 def _in_a_row(good: NDArray[np.bool_]) -> NDArray[np.intp]:
     """How many intervals before each sample (T,) are good without a break, for intervals (T - 1,)."""
-    place = np.arange(len(good) + 1)
-    broken = np.where(np.concatenate([[True], ~good]), place, 0)
-    return place - np.maximum.accumulate(broken)
+    index = np.arange(len(good) + 1)
+    broken = np.where(np.concatenate([[True], ~good]), index, 0)
+    return index - np.maximum.accumulate(broken)
 
 
 def _percent(share: float) -> str:

@@ -1,1 +1,1 @@
-"""Predictions held against what was measured, and the labels that follow."""
+"""Checks of predictions against measurements, and the labels that follow."""

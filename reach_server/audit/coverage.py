@@ -1,4 +1,5 @@
-"""The record of a vehicle class: what was predicted for each vehicle, how often it held, and what did not."""
+"""The coverage record of a vehicle class: how often its one-step predictions held, and whether that agrees with its
+label."""
 
 from dataclasses import dataclass
 
@@ -31,8 +32,8 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checked:
-    """What a batch of measurements says: ``misses``; the slots whose rolling record ``left`` its band with them or
-    ``returned`` into it; and those whose refuted bounds have held for long enough since, ``restored``."""
+    """The result of checking a batch of measurements: ``misses``; the slots whose rolling record ``left`` its band with
+    them or ``returned`` into it; and those whose refuted bounds have held for long enough since, ``restored``."""
 
     misses: list[Miss]
     left: NDArray[np.intp]
@@ -43,17 +44,17 @@ class Checked:
 class CoverageRecord:
     """One-step predictions of the vehicles of a class, by slot.
 
-    A check misses with probability ``alpha`` at most, if the label is right. How many of the newest 1000 did is the
-    rolling record, ``outside`` (V,) where that is more than ``alpha`` explains: see ``audit.bands``.
+    A check misses with probability ``alpha`` at most, if the label is right. How many of the newest 1000 missed is the
+    rolling record, ``outside`` (V,) where that is more than ``alpha`` explains: see ``prediction_check.bands``.
 
     Where ``alpha`` is 0 the sets rest on stated bounds, and these are judged:
 
     ====================  ==============================================================================================
-    miss                  refutes a bound: ``falsified``, see ``refute``
+    miss                  refutes a bound: ``refuted``, see ``refute``
     miss of a jump        no check at all: a pose that the window takes for a jump, and that lies more than
                           ``BEYOND_BOUNDS`` times as far from the center of the set without cuts as the set reaches
     jumps                 more than ``FORGIVEN`` of them within ``RECENT`` checks: ``restless``
-    checks that hold      ``span`` of them in a row after the last refutation end ``falsified``; twice as many after the
+    checks that hold      ``span`` of them in a row after the last refutation end ``refuted``; twice as many after the
                           second time, and so on
     ====================  ==============================================================================================
     """
@@ -71,18 +72,18 @@ class CoverageRecord:
         self._misses = np.zeros(0, dtype=np.int64)
         self.outside: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         #: Whether a stated bound turned out to be wrong, how often that was found, and checks that held since.
-        self.falsified: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        self._refuted = np.zeros(0, dtype=np.int64)
+        self.refuted: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._refutations = np.zeros(0, dtype=np.int64)
         self._held = np.zeros(0, dtype=np.int64)
         #: How many had been checked, plus one, at the newest jumps, oldest first; 0 for none.
         self._jumps = np.zeros((0, FORGIVEN + 1), dtype=np.int64)
         #: Stamps of samples that only side information excludes, by slot, until that has been looked into.
-        self.doubted: dict[int, int] = {}
+        self.unexplained: dict[int, int] = {}
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
         for name in (
-            "_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "falsified", "_refuted", "_held",
+            "_checked", "_inside", "_last_miss", "_missed", "_misses", "outside", "refuted", "_refutations", "_held",
             "_jumps",
         ):  # fmt: skip
             array = getattr(self, name)
@@ -93,9 +94,9 @@ class CoverageRecord:
         self.predictions.drop(slot)
         self._checked[slot] = self._inside[slot] = self._last_miss[slot] = self._misses[slot] = 0
         self._missed[slot] = False
-        self._refuted[slot] = self._held[slot] = self._jumps[slot] = 0
-        self.outside[slot] = self.falsified[slot] = False
-        self.doubted.pop(slot, None)
+        self._refutations[slot] = self._held[slot] = self._jumps[slot] = 0
+        self.outside[slot] = self.refuted[slot] = False
+        self.unexplained.pop(slot, None)
 
     def audit(self, slot: int) -> Audit:
         """Predictions of a vehicle that were checked, and how many held."""
@@ -108,10 +109,10 @@ class CoverageRecord:
 
     def refute(self, slot: int) -> bool:
         """A stated bound of a vehicle turned out to be wrong, by a miss or by the data; whether that is news."""
-        news = not self.falsified[slot]
-        self._refuted[slot] += news
+        news = not self.refuted[slot]
+        self._refutations[slot] += news
         self._held[slot] = 0
-        self.falsified[slot] = True
+        self.refuted[slot] = True
         return news
 
     def jumped(self, slot: int) -> bool:
@@ -128,8 +129,8 @@ class CoverageRecord:
     def check(
         self, batch: SampleBatch, slack: float, noise: FloatArray, angles: tuple[int, ...], jumped: NDArray[np.bool_]
     ) -> Checked:
-        """Hold the measurements against the predictions that wait for them, see ``Predictions.check``; ``jumped`` (B,)
-        are those whose pose jumped."""
+        """Check pending predictions against measurements, see ``Predictions.check``; ``jumped`` (B,) are those whose
+        pose jumped."""
         found = self.predictions.check(batch, slack, noise, angles)
         if self._judges_bounds and jumped[found.row].any():
             no_check = jumped[found.row] & ~found.inside & (found.times_free > BEYOND_BOUNDS)
@@ -139,17 +140,17 @@ class CoverageRecord:
             found = take_rows(found, ~no_check)
         slots = found.slot
         missed = ~found.inside
-        place = self._checked[slots] % RECENT
-        self._misses[slots] += missed.astype(np.int64) - self._missed[slots, place]
-        self._missed[slots, place] = missed
+        index = self._checked[slots] % RECENT
+        self._misses[slots] += missed.astype(np.int64) - self._missed[slots, index]
+        self._missed[slots, index] = missed
         self._checked[slots] += 1
         self._inside[slots] += found.inside
         left, returned = self._judge(slots)
         # What only side information excludes says nothing against the bounds.
         self._held[slots] = np.where(found.inside_free, self._held[slots] + 1, 0)
-        enough = self._span << np.minimum(np.maximum(self._refuted[slots] - 1, 0), MOST_DOUBLINGS)
-        restored = slots[self.falsified[slots] & (self._held[slots] >= enough)]
-        self.falsified[restored] = False
+        enough = self._span << np.minimum(np.maximum(self._refutations[slots] - 1, 0), MOST_DOUBLINGS)
+        restored = slots[self.refuted[slots] & (self._held[slots] >= enough)]
+        self.refuted[restored] = False
         misses: list[Miss] = []
         for k in np.flatnonzero(missed).tolist():
             slot, excess = int(slots[k]), float(found.excess[k])

@@ -1,4 +1,4 @@
-"""What a tube may claim: its label and the notes to it."""
+"""The label of a tube, which says what it claims, and its notes."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -18,7 +18,7 @@ HELD = ("within stated limits", f"within {MARGIN:g} times the fastest change see
 @dataclass(frozen=True, slots=True)
 class Claim:
     """What the sets of a method claim: a ``rate`` at which measured states lie in them, or that true states always do
-    as long as the ``bounds`` named are true; with neither nothing."""
+    as long as the ``bounds`` named are true; with neither, nothing."""
 
     rate: bool = False
     bounds: tuple[Literal["process", "measurement", "lipschitz"], ...] = ()
@@ -68,8 +68,8 @@ class Labels:
         return self._label is Label.CALIBRATED
 
     def unclaimed(self, outside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Of which vehicles (B,) nothing is claimed because they are ``outside`` (B,) the data: a rate says
-        something of errors like those on record, and these are not; stated bounds hold everywhere."""
+        """Of which vehicles (B,) nothing is claimed because they are ``outside`` (B,) the data: a rate is one of errors
+        like those on record, which theirs need not be; stated bounds hold everywhere."""
         return outside if self.audited else np.zeros_like(outside)
 
     def of(self, wrong: NDArray[np.bool_], unclaimed: NDArray[np.bool_]) -> tuple[Label, ...]:

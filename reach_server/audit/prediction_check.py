@@ -1,4 +1,4 @@
-"""Predictions held against what was measured, and how many misses a confidence explains."""
+"""Predictions checked against measurements, and how many misses a confidence explains."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,7 +37,7 @@ def bands(alpha: float) -> tuple[IntArray, IntArray]:
     with which one that has left it is taken back.
 
     Leaving is judged by ``BAND``, below ``FEW`` checks by ``CLEAR_BAND``; it is undone at the median, so that a record
-    near the edge is not told of again and again.
+    near the edge is not reported again and again.
 
     One look at an honest record leaves the band with a probability of at most 1 %. Since the record is looked at after
     each check, alarms add up: simulated with independent misses at 1 %, honest records leave 0.06 times in their first
@@ -52,10 +52,10 @@ def _bands(checked: range, alpha: float, probability: float) -> IntArray:
     """``binomial_band`` of each number of checks. It never falls, so each one is looked for from the one before on: a
     class with a confidence of its own must not hold up a round."""
     found, misses = np.zeros(len(checked), dtype=np.int64), 0
-    for place, number in enumerate(checked):
+    for index, number in enumerate(checked):
         while misses < number and bdtr(misses, number, alpha) < probability:
             misses += 1
-        found[place] = misses
+        found[index] = misses
     return found
 
 
@@ -100,7 +100,7 @@ def _turned(predicted: RawSets, y: FloatArray, angles: tuple[int, ...]) -> Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checks:
-    """Predictions whose sample has come, one a vehicle: ``row`` (C,) of the batch and ``slot`` (C,); ``inside`` (C,)
+    """Predictions whose sample has come, one per vehicle: ``row`` (C,) of the batch and ``slot`` (C,); ``inside`` (C,)
     and ``excess`` (C,) as the function ``inside`` has them; ``inside_free`` (C,) the same without cuts; ``times_free``
     (C,) as ``times_as_far`` of missed states without cuts, else 0."""
 
@@ -112,18 +112,18 @@ class Checks:
     times_free: FloatArray
 
 
-class _Sets:
+class SetStore:
     """The newest set of each slot: one array for all, padded with zero generators and rows, which change no set."""
 
     def __init__(self) -> None:
         self._store = RawSets(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0)))
 
-    def put(self, slots: NDArray[np.intp], sets: RawSets, room: int) -> None:
-        """Keep ``sets`` (B) for some slots, all below ``room``."""
+    def put(self, slots: NDArray[np.intp], sets: RawSets, count: int) -> None:
+        """Store ``sets`` (B) for some slots, all below ``count``."""
         g, rows = sets.generators.shape[2], sets.matrix.shape[1]
         old = self._store
-        if room > len(old.center) or g > old.generators.shape[2] or rows > old.matrix.shape[1]:
-            self._grow(max(room, len(old.center)), sets)
+        if count > len(old.center) or g > old.generators.shape[2] or rows > old.matrix.shape[1]:
+            self._grow(max(count, len(old.center)), sets)
         store = self._store
         store.center[slots] = sets.center
         store.generators[slots, :, :g] = sets.generators
@@ -139,11 +139,13 @@ class _Sets:
         taken: RawSets = take_rows(self._store, slots)
         return taken
 
-    def _grow(self, room: int, sets: RawSets) -> None:
+    def _grow(self, count: int, sets: RawSets) -> None:
         old, n = self._store, sets.center.shape[1]
         g = max(sets.generators.shape[2], old.generators.shape[2])
         rows = max(sets.matrix.shape[1], old.matrix.shape[1])
-        new = RawSets(np.zeros((room, n)), np.zeros((room, n, g)), np.zeros((room, rows, g)), np.zeros((room, rows)))
+        new = RawSets(
+            np.zeros((count, n)), np.zeros((count, n, g)), np.zeros((count, rows, g)), np.zeros((count, rows))
+        )
         if len(old.center):
             held, (_, had_rows, had) = len(old.center), old.matrix.shape
             new.center[:held] = old.center
@@ -163,8 +165,8 @@ class Predictions:
         self._epoch = np.zeros(0, dtype=np.uint64)
         self._seq = np.zeros(0, dtype=np.uint64)
         self._t = np.zeros(0, dtype=np.int64)
-        self._cut = _Sets()
-        self._free = _Sets()
+        self._cut = SetStore()
+        self._free = SetStore()
 
     def keep(
         self, slots: NDArray[np.intp], epoch: NDArray[np.uint64], seq: NDArray[np.uint64], t: IntArray,
@@ -183,9 +185,9 @@ class Predictions:
         self._free.put(slots, free, len(self._waits))
 
     def check(self, batch: SampleBatch, slack: float, measurement: FloatArray, angles: tuple[int, ...]) -> Checks:
-        """Hold the measurements against the predictions that were made for them; each is held once.
+        """The checks of predictions whose measurements have come; each prediction is checked once.
 
-        A sample that came sooner or later than predicted, within the ``slack`` (ns), is held against the set without
+        A sample that came sooner or later than predicted, within the ``slack`` (ns), is checked against the set without
         cuts only: side information may say something else at that instant.
         """
         rows = self._awaited(batch, slack)
@@ -206,7 +208,7 @@ class Predictions:
         return Checks(rows, slots, held, excess, free, times)
 
     def _awaited(self, batch: SampleBatch, slack: float) -> NDArray[np.intp]:
-        """Rows of the samples that predictions wait for, one a vehicle."""
+        """Rows of the samples that predictions wait for, one per vehicle."""
         rows = np.flatnonzero(batch.vehicle < len(self._waits))
         rows = rows[self._waits[batch.vehicle[rows]]]
         slots = batch.vehicle[rows]
@@ -233,7 +235,7 @@ class Predictions:
         return rows, self._free.of(slots[rows])
 
     def withhold(self, slots: NDArray[np.intp]) -> None:
-        """Let the predictions of some slots wait for nothing: they are not checked."""
+        """Keep the predictions of some slots from being checked."""
         self._waits[slots] = False
 
     def drop(self, slot: int) -> None:

@@ -1,1 +1,1 @@
-"""From samples to regressors: windows, what may follow what, and what the data shows."""
+"""From samples to regressors: windows, continuity of samples, and observed ranges."""

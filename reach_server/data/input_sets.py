@@ -1,4 +1,4 @@
-"""What the inputs of the coming steps can be."""
+"""Sets of the inputs of the coming steps."""
 
 from dataclasses import dataclass
 

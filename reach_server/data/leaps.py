@@ -64,7 +64,7 @@ def paused_at_most(seq_before: np.uint64, t_before: int, seq: np.uint64, t: int,
 def note(
     rivals: Rivals, slot: int, epoch: np.uint64, seq: np.uint64, t: int, batch: int, interval: int, against: bool
 ) -> bool:
-    """Take in a sample that does not go on what is stored, in the batch of that number; whether it is now believed.
+    """Record a sample that does not continue what is stored, in the batch of that number; whether it is now believed.
 
     ``against``: it contradicts what is stored, is not merely late. The same sample again says nothing.
     """

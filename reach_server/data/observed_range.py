@@ -1,4 +1,4 @@
-"""Which values of states and inputs the data of a window show, and which lie outside of them."""
+"""Ranges of the states and inputs in the data of a window, and which values lie outside them."""
 
 from dataclasses import dataclass
 
@@ -71,7 +71,7 @@ class Seen:
 
     @classmethod
     def of(cls, data: Transitions) -> "Seen":
-        """Those of transitions."""
+        """Ranges of the regressors of transitions."""
         vehicles, _, p = data.z.shape
         seen = cls(np.empty((vehicles, p)), np.empty((vehicles, p)))
         z = np.ascontiguousarray(np.swapaxes(data.z, 1, 2))

@@ -22,5 +22,5 @@ def samples_missing(
 
 
 def too_few(method: str, missing: int) -> str:
-    """Why a vehicle waits."""
+    """The reason given while a vehicle has too few samples."""
     return f"too few samples for {method}: at least {missing} more"

@@ -1,4 +1,4 @@
-"""Older transitions beside the newest ones: few, and as different from each other as those that came allow."""
+"""A few older transitions beside the newest ones, chosen to lie far apart."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,32 +93,32 @@ def _offer(
         if rescale:
             for r in range(count):
                 _find_nearest(own, count, r, weight, gaps, neighbour)
-        place = int(np.argmin(gaps)) if count == size else int(count)
-        closest = _distances(own, count, place, z[k], weight, gaps[place] if count == size else -1.0, distance)
+        index = int(np.argmin(gaps)) if count == size else int(count)
+        closest = _distances(own, count, index, z[k], weight, gaps[index] if count == size else -1.0, distance)
         if closest == REFUSED:
             continue
-        own[place], targets[slot, place] = z[k], target[k]
-        held[slot] = count = max(count, place + 1)
+        own[index], targets[slot, index] = z[k], target[k]
+        held[slot] = count = max(count, index + 1)
         revision[slot] += 1
-        gaps[place], neighbour[place] = np.inf if closest < 0 else distance[closest], closest
+        gaps[index], neighbour[index] = np.inf if closest < 0 else distance[closest], closest
         for r in range(count):
-            if r == place:
+            if r == index:
                 continue
             if distance[r] < gaps[r]:
-                gaps[r], neighbour[r] = distance[r], place
-            elif neighbour[r] == place:
+                gaps[r], neighbour[r] = distance[r], index
+            elif neighbour[r] == index:
                 _find_nearest(own, count, r, weight, gaps, neighbour)
 
 
 @kernel
 def _distances(
-    own: FloatArray, count: int, place: int, z: FloatArray, weight: FloatArray, least: float, distance: FloatArray
+    own: FloatArray, count: int, index: int, z: FloatArray, weight: FloatArray, least: float, distance: FloatArray
 ) -> int:
-    """Squared distances of z to all rows but that at ``place``; the nearest, -1 where there is none, and REFUSED as
+    """Squared distances of z to all rows but that at ``index``; the nearest, -1 where there is none, and REFUSED as
     soon as one is not farther than ``least``."""
     closest = -1
     for r in range(count):
-        if r == place:
+        if r == index:
             continue
         total = 0.0
         for i in range(len(z)):

@@ -1,4 +1,4 @@
-"""Samples as arrays: batches that come, blocks that are asked for, and what became of a batch."""
+"""Samples as arrays: batches received, blocks read from a window, and the report on an appended batch."""
 
 from dataclasses import dataclass, field
 from typing import Self
@@ -77,13 +77,13 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """The ring buffers themselves, a row a slot: the sample of place p is ``t[slot, p]``, ``x[slot, p]`` and so on.
+    """The ring buffers themselves, one row per slot: the sample at index p is ``t[slot, p]``, ``x[slot, p]`` and so on.
 
     ``t`` (V, S) ns; ``x`` (V, S, n) as received; ``u`` (V, S, m), zero where not known; ``run`` (V, S) number of links
     that end at a sample, 0 where a trajectory begins (links to samples that have left the window count: go no further
     back than the window does); ``input_known`` (V, S); ``gated`` (V, S) set by ``Window.gate``: a glitch, to be kept
-    out of models. What stands at places that hold no sample means nothing. To be read, and not to be kept: growing
-    makes new arrays.
+    out of models. Entries at indices that hold no sample are meaningless. Views to read from at once: growing
+    replaces the arrays.
     """
 
     t: IntArray
@@ -96,13 +96,13 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class AppendReport:
-    """What became of the samples of a batch.
+    """Number of samples of a batch by status.
 
     Each was stored, or refused: seen before (``repeated``), stamp before the newest one (``backwards``) or equal to it
     (``stopped``), a state that is no number (``not_finite``), older than all that a full window holds (``too_old``), an
     epoch, number or stamp that leaps (``leaped``). Of those stored, ``no_input`` had an input that is no number,
-    ``stale`` repeated a pose while moving, and ``resynced`` were believed after others like them had been refused.
-    ``fate`` (B,) says it of each sample, as in ``ring``.
+    ``frozen_pose`` repeated a pose while moving, and ``resynced`` were believed after others like them had been
+    refused. ``status`` (B,) of each sample, as in ``ring_buffer``.
     """
 
     stored: int = 0
@@ -112,24 +112,24 @@ class AppendReport:
     not_finite: int = 0
     too_old: int = 0
     no_input: int = 0
-    stale: int = 0
+    frozen_pose: int = 0
     resynced: int = 0
     jumped: tuple[tuple[int, int], ...] = ()
     leaped: int = 0
-    fate: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8), compare=False, repr=False)
+    status: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8), compare=False, repr=False)
 
     @property
     def refused(self) -> int:
-        """Samples that nobody has seen before and that are kept out."""
+        """Number of new samples that were refused."""
         return self.backwards + self.stopped + self.not_finite + self.leaped
 
     @property
     def stored_rows(self) -> NDArray[np.bool_]:
         """Which samples (B,) were stored."""
-        return np.asarray(self.fate & ring.REFUSED == ring.STORED)
+        return np.asarray(self.status & ring.REFUSED == ring.STORED)
 
     def rows(self, mark: int) -> list[int]:
-        """Rows of the samples of one fate: ``ring.JUMPED``, ``ring.LEAP``, ``ring.RESYNCED`` and so on."""
-        found = self.fate & ring.REFUSED == mark if mark <= ring.REFUSED else self.fate & mark != 0
+        """Rows of the samples of one status: ``ring.JUMPED``, ``ring.LEAP``, ``ring.RESYNCED`` and so on."""
+        found = self.status & ring.REFUSED == mark if mark <= ring.REFUSED else self.status & mark != 0
         rows: list[int] = np.flatnonzero(found).tolist()
         return rows

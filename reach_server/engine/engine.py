@@ -243,8 +243,8 @@ class Engine:
 
         events = self._assignments.receive(held, self._names, newest, block)
         # What lay outside of a set only because of side information, and no predicate explains.
-        for slot in sorted(self._record.doubted.keys() & set(held.tolist())):
-            t = self._record.doubted.pop(slot)
+        for slot in sorted(self._record.unexplained.keys() & set(held.tolist())):
+            t = self._record.unexplained.pop(slot)
             if not any(event.vehicle == self._names[slot] for event in events):
                 events += self._assignments.contradict(slot, self._names[slot], t, None)
         return events
@@ -278,7 +278,7 @@ class Engine:
         """Tubes of the vehicles that are served; those whose sets are not finite wait instead."""
         if self.profile.filtered and not self._method.claims_measured:
             rows, sets = self._record.predictions.prior(served.slots, served.epoch, served.seq)
-            kept = ~self._record.falsified[served.slots[rows]]
+            kept = ~self._record.refuted[served.slots[rows]]
             served = replace(served, prior=Prior(rows[kept], take_rows(sets, kept)))
         forecast = self._method.forecast(served)
         instants = self._instants(served, forecast)
@@ -310,13 +310,13 @@ class Engine:
         slots = served.slots.tolist()
         deficient = self._method.rank_deficient(served.slots)
         against = np.isin(served.slots, sorted(self._assignments.contradicted()))
-        wrong = self._record.falsified[served.slots] | reach.excluded | self._record.restless(served.slots)
+        wrong = self._record.refuted[served.slots] | reach.excluded | self._record.restless(served.slots)
         if self._labels.audited:
             wrong = wrong | self._record.outside[served.slots]
         return Tubes(
             tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times,
             reach.steps, reach.free, reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.acted),
+            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.active),
             self._labels.notes(deficient, against, reach.emptied, unseen, held),
             self._verdicts(instants, reach.steps), (), {},
         )  # fmt: skip
@@ -339,14 +339,14 @@ class Engine:
             self._plans = self._new_plans()
         if CUT_KINDS[self.profile.cuts].adds_constraints:
             plan = CutSchedule.nothing(count, self.horizon, len(self.profile.state))
-            plan.straight[row] = False
+            plan.unbranched[row] = False
         else:
             plan = self._plans.of(row, obligation, tested, self.horizon, *(forecast.ahead() or (None, None)))
         parts: list[ReachSets] = []
-        stepwise = ~plan.straight
-        straight = np.flatnonzero(plan.straight)
+        stepwise = ~plan.unbranched
+        straight = np.flatnonzero(plan.unbranched)
         if len(straight):
-            tubes = forecast.straight(straight, plan.rows(straight))
+            tubes = forecast.unbranched(straight, plan.rows(straight))
             if tubes is None:
                 stepwise[:] = True
             else:
@@ -420,13 +420,13 @@ class Engine:
         events: list[EngineEvent] = []
         slack = self.profile.tolerance * self.profile.sample_time_ns
         angles = tuple(np.flatnonzero(self.profile.angles).tolist())
-        jumped = appended.fate & ring.JUMPED != 0
+        jumped = appended.status & ring.JUMPED != 0
         if appended.stored < len(jumped):
             batch, jumped = batch.take(np.flatnonzero(appended.stored_rows)), jumped[appended.stored_rows]
         checked = self._record.check(batch, slack, self.noise_of_claim, angles, jumped)
         for miss in checked.misses:
             if miss.side_information:
-                self._record.doubted[miss.slot] = miss.t
+                self._record.unexplained[miss.slot] = miss.t
             elif self._labels.certain:
                 self._record.refute(miss.slot)
                 events.append(notices.miss(self._names[miss.slot], miss))
@@ -445,7 +445,7 @@ class Engine:
         """Events where cuts left nothing, and where the data excludes the stated bounds."""
         events: list[EngineEvent] = []
         # A calibrated set may be wrong itself: only what was measured contradicts for good.
-        for row, (step, literals) in {} if self._method.claims_measured else reach.blamed.items():
+        for row, (step, literals) in {} if self._method.claims_measured else reach.responsible.items():
             slot, ahead = int(served.slots[row]), step * self.profile.sample_time_ns
             events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
         for row in np.flatnonzero(reach.excluded).tolist():

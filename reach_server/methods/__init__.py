@@ -1,4 +1,4 @@
-"""Ways to compute sets from data, by name."""
+"""Methods to compute reachable sets from data, by name."""
 
 from fleet_bus.messages import VehicleProfile
 from fleet_bus.messages.methods import METHODS
@@ -16,7 +16,7 @@ __all__ = ["METHODS", "Claim", "Forecast", "Method", "Setup", "method_of", "regi
 def method_of(
     name: str | None, profile: VehicleProfile, window: Window, horizon: int, *, planned: bool
 ) -> tuple[str, Method, Claim]:
-    """The method of that name, or the profile's: what it is called, the method, and what its sets claim.
+    """The name, the method and the claim of its sets: of that name, or of the one in the profile.
 
     ``default`` is ``set_membership`` where every bound is given, else ``calibrated``. Raises ``UsageError`` for an
     unknown name, and for a profile that the method cannot work with.

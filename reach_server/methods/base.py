@@ -1,4 +1,4 @@
-"""What the engine wants of a way to compute sets from data."""
+"""The interface of a method that computes reachable sets from data."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -22,7 +22,7 @@ Reason = tuple[NDArray[np.bool_], str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """What limits the sets of B vehicles beside their models.
+    """Limits of the sets of B vehicles besides their models.
 
     ``unseen`` (B, n + m): states and inputs of which what enters the model lies outside the data. ``low`` and ``high``
     (B, N, n): stated bounds of what the sets speak about, at steps 1 to N, infinite where there are none; None where
@@ -36,11 +36,11 @@ class Outlook:
 
 
 class Forecast(Protocol):
-    """How the sets of B served vehicles go on."""
+    """The sets of B requested vehicles over the horizon."""
 
     @property
     def outlook(self) -> Outlook:
-        """What limits the sets."""
+        """The limits of the sets besides the models."""
 
     @property
     def start(self) -> RawSets:
@@ -48,14 +48,15 @@ class Forecast(Protocol):
 
     @property
     def motion(self) -> Motion:
-        """Step by step."""
+        """The motion that moves the sets step by step."""
 
     def ahead(self) -> tuple[FloatArray, FloatArray] | None:
-        """Centers (B, N + 1, n) and generators (B, N + 1, n, g) of the sets without cuts at steps 0 to N, if they are
-        known before."""
+        """Centers (B, N + 1, n) and generators (B, N + 1, n, g) of the sets without cuts at steps 0 to N, if they do
+        not depend on cuts, else None."""
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes | None:
-        """All steps at once for the vehicles of some rows (K,), cut by the plan (K); None if there is no such way."""
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes | None:
+        """The tubes of the vehicles of some rows (K,), cut by the schedule (K), in one loop; None if the method has
+        none."""
 
 
 class Method(Protocol):
@@ -80,7 +81,7 @@ class Method(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What every tube of this method has to say with it."""
+        """The notes of every tube of this method."""
 
     #: Whether nothing is learned any more.
     frozen: bool
@@ -92,20 +93,20 @@ class Method(Protocol):
         """Forget what was learned of one vehicle."""
 
     def learn(self, slots: IndexArray) -> None:
-        """Take in what has come of some vehicles, and fit where it is time."""
+        """Update some vehicles with their new samples, and fit those that are due."""
 
     def missing(self, slots: IndexArray) -> NDArray[np.int64]:
         """How many samples more some vehicles (B,) need before they have a model; 0 where they have one."""
 
     def reasons(self, slots: IndexArray, block: Block, known: PlannedInputs | None) -> list[Reason]:
-        """Why some of the vehicles (B,), which have models, cannot be served now."""
+        """Reasons why some of the vehicles (B,), which have models, cannot be predicted now."""
 
     def glitches(self) -> list[tuple[int, int]]:
         """Slots of vehicles of which a sample turned out to be a glitch since the last call, each with the stamp of the
-        sample that told so."""
+        sample that revealed it."""
 
     def rank_deficient(self, slots: IndexArray) -> NDArray[np.bool_]:
-        """Of which vehicles that are served the data does not determine the model."""
+        """For which of the requested vehicles the data does not determine the model."""
 
-    def forecast(self, served: TubeRequest) -> Forecast:
-        """How the sets of some vehicles go on."""
+    def forecast(self, request: TubeRequest) -> Forecast:
+        """The sets of some vehicles over the horizon."""

@@ -1,4 +1,4 @@
-"""Method ``calibrated``: boxes around predictions, sized by how the predictions before them turned out."""
+"""Method ``calibrated``: boxes around predictions, sized by the errors of earlier predictions."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ from reach_server.tube.unbranched import UnbranchedTubes, box_tubes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxForecast:
-    """Boxes that are known before, each cut by itself."""
+    """Boxes that do not depend on cuts, each cut by itself."""
 
     start: RawSets
     motion: Boxes
@@ -42,16 +42,16 @@ class BoxForecast:
         generators[:, 1:] = self.motion.generators
         return center, generators
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes:
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes:
         """See ``Forecast``."""
         return box_tubes(
             self.motion.center[rows], self.motion.generators[rows], self.start.center[rows],
-            self.start.generators[rows], plan, self.plane, self.cuts,
+            self.start.generators[rows], schedule, self.plane, self.cuts,
         )  # fmt: skip
 
 
 class Conformal:
-    """Calibrated sets, which speak about measured states."""
+    """Calibrated sets of measured states."""
 
     claims_measured = True
     lipschitz = None
@@ -69,7 +69,7 @@ class Conformal:
         if self._models.resolved < horizon:
             self.notes += (f"after step {self._models.resolved} few independent errors",)
         #: Glitches (V,) that have been told of.
-        self._told = np.zeros(0, dtype=np.int64)
+        self._reported = np.zeros(0, dtype=np.int64)
         self.samples_needed = 1
 
     @property
@@ -84,12 +84,12 @@ class Conformal:
     def grow(self, slots: int) -> None:
         """See ``Method``."""
         self._models.grow(slots)
-        self._told = grow_rows(self._told, slots, self._told)
+        self._reported = grow_rows(self._reported, slots, self._reported)
 
     def reset(self, slot: int) -> None:
         """See ``Method``."""
         self._models.reset(slot)
-        self._told[slot] = 0
+        self._reported[slot] = 0
 
     def learn(self, slots: IndexArray) -> None:
         """See ``Method``."""
@@ -98,8 +98,8 @@ class Conformal:
 
     def glitches(self) -> list[tuple[int, int]]:
         """See ``Method``."""
-        slots = np.flatnonzero(self._models.glitches[: len(self._told)] > self._told)
-        self._told[slots] = self._models.glitches[slots]
+        slots = np.flatnonzero(self._models.glitches[: len(self._reported)] > self._reported)
+        self._reported[slots] = self._models.glitches[slots]
         return list(zip(slots.tolist(), self._window.newest(slots)[2].tolist(), strict=True))
 
     def missing(self, slots: IndexArray) -> NDArray[np.int64]:
@@ -115,19 +115,19 @@ class Conformal:
         ]
 
     def rank_deficient(self, slots: IndexArray) -> NDArray[np.bool_]:
-        """None: what the data does not determine is held small."""
+        """False: the ridge keeps small what the data does not determine."""
         return np.zeros(len(slots), dtype=bool)
 
-    def forecast(self, served: TubeRequest) -> BoxForecast:
+    def forecast(self, request: TubeRequest) -> BoxForecast:
         """See ``Method``."""
-        plan = served.known.plan if served.known is not None and self._planned else None
-        x = served.block.x[:, -1]
-        bounds = self._bounds(served.slots, x) if self._limited else None
-        boxes = self._models.predict(served.slots, plan, bounds=bounds)
+        plan = request.known.plan if request.known is not None and self._planned else None
+        x = request.block.x[:, -1]
+        bounds = self._bounds(request.slots, x) if self._limited else None
+        boxes = self._models.predict(request.slots, plan, bounds=bounds)
         start = RawSets.zonotope(x, np.zeros((*x.shape, 0)))
         outlook = Outlook(boxes.unseen, boxes.held)
         if bounds is not None:
-            slack = MARGIN * self._models.fastest(served.slots)[:, None] if bounds.noisy else 0.0
+            slack = MARGIN * self._models.fastest(request.slots)[:, None] if bounds.noisy else 0.0
             outlook = Outlook(boxes.unseen, boxes.held, bounds.low - slack, bounds.high + slack)
         return BoxForecast(start, boxes, self._profile.position, self._profile.cuts, outlook)
 
@@ -136,7 +136,7 @@ class Conformal:
         ahead = limits_ahead(self._profile, x, self._horizon)
         apart = 2.0 * float(np.hypot(*ahead.error[list(self._profile.position)]))
         return Bounds(
-            ahead.low - ahead.error, ahead.high + ahead.error, ahead.way + apart,
+            ahead.low - ahead.error, ahead.high + ahead.error, ahead.distance + apart,
             self._profile.noise.measurement is None,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Method ``lti``: all linear models that agree with the data at once, moved from step to step."""
+"""Method ``lti``: sets moved from step to step by all linear models that agree with the data."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -42,8 +42,8 @@ class LinearForecast:
     def ahead(self) -> None:
         """Each set follows from the one before."""
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes | None:
-        """Every vehicle goes step by step."""
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes | None:
+        """None: every vehicle is moved step by step."""
         return None
 
 
@@ -125,13 +125,13 @@ class Linear:
             lacking[fitted] = ~self._store.determined[slots[fitted]]
         return lacking
 
-    def forecast(self, served: TubeRequest) -> LinearForecast:
+    def forecast(self, request: TubeRequest) -> LinearForecast:
         """See ``Method``."""
-        models = take_rows(self._store, served.slots)
-        start = received(served, self._layout, self.bounds, models.newest)
-        inputs = input_sets(self._profile, self._layout, self._horizon, served)
-        seen: Seen = take_rows(self._seen, served.slots)
-        outlook = outlook_of(self._profile, self._layout, self._horizon, served, start, seen)
+        models = take_rows(self._store, request.slots)
+        start = received(request, self._layout, self.bounds, models.newest)
+        inputs = input_sets(self._profile, self._layout, self._horizon, request)
+        seen: Seen = take_rows(self._seen, request.slots)
+        outlook = outlook_of(self._profile, self._layout, self._horizon, request, start, seen)
         return LinearForecast(start, lti.LinearMotion(inputs, models, self.bounds.process, self._layout), outlook)
 
 

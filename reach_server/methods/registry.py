@@ -1,5 +1,4 @@
-"""The methods by name, each with what its sets claim: what is not registered does not exist, what claims nothing is
-uncovered."""
+"""The methods by name, each with the claim of its sets; the sets of a method that claims nothing are uncovered."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from reach_server.methods.base import Method
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a method is made of: the class, its window, steps to predict, whether later inputs will be given."""
+    """The arguments of a method: the class, its window, steps to predict, whether later inputs will be given."""
 
     profile: VehicleProfile
     window: Window
@@ -28,7 +27,7 @@ _B = TypeVar("_B", bound=Build)
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """How a method is made, and what its sets claim."""
+    """The function that makes a method, and the claim of its sets."""
 
     build: Build
     claim: Claim
@@ -50,7 +49,7 @@ def register(name: str, claim: Claim = NOTHING) -> Callable[[_B], _B]:
 
 
 def forget(name: str) -> None:
-    """Take a method out again; raises ``KeyError`` for one that is not there."""
+    """Remove a method; raises ``KeyError`` for one that is not there."""
     del _METHODS[name]
 
 

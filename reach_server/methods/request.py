@@ -1,4 +1,4 @@
-"""The vehicles of a round that get a tube, and what is known of the inputs to come."""
+"""Requests: the vehicles of a round that get a tube, and what is known of their later inputs."""
 
 from dataclasses import dataclass
 
@@ -34,14 +34,14 @@ class TubeRequest:
     prior: "Prior | None" = None
 
     def rows(self, rows: NDArray[np.intp]) -> "TubeRequest":
-        """Those of some rows, ascending."""
+        """The request of some rows, ascending."""
         if len(rows) == len(self.slots):
             return self
         known = None if self.known is None else take_rows(self.known, rows)
         prior = None
         if self.prior is not None:
-            kept = np.flatnonzero(np.isin(self.prior.rows, rows))
-            prior = Prior(np.searchsorted(rows, self.prior.rows[kept]), take_rows(self.prior.sets, kept))
+            retained = np.flatnonzero(np.isin(self.prior.rows, rows))
+            prior = Prior(np.searchsorted(rows, self.prior.rows[retained]), take_rows(self.prior.sets, retained))
         return TubeRequest(
             self.slots[rows], self.epoch[rows], self.seq[rows], self.t[rows], take_rows(self.block, rows), known, prior
         )

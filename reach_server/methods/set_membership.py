@@ -24,7 +24,7 @@ from reach_server.sets.raw import RawSets, replace_rows
 from reach_server.tube.cut_schedule import CutSchedule
 from reach_server.tube.recursion import Recursion
 from reach_server.tube.unbranched import UnbranchedTubes
-from reach_server.tube.unbranched_kernel import straight_tubes
+from reach_server.tube.unbranched_kernel import recursion_tubes
 
 #: Bounds of a prediction are moved outwards by this part of their size, against rounding.
 ROUNDING = 1e-12
@@ -43,9 +43,9 @@ class RecursionForecast:
     def ahead(self) -> None:
         """Each set follows from the one before."""
 
-    def straight(self, rows: IndexArray, plan: CutSchedule) -> UnbranchedTubes:
+    def unbranched(self, rows: IndexArray, schedule: CutSchedule) -> UnbranchedTubes:
         """See ``Forecast``."""
-        return straight_tubes(self.motion, self.start, rows, plan, self.plane, self.cuts)
+        return recursion_tubes(self.motion, self.start, rows, schedule, self.plane, self.cuts)
 
 
 class Bounded:
@@ -81,14 +81,14 @@ class Bounded:
         """See ``Method``."""
         return [lags_missing(block, self._layout), inputs_unlimited(self._profile, self._horizon, block, known)]
 
-    def forecast(self, served: TubeRequest) -> RecursionForecast:
+    def forecast(self, request: TubeRequest) -> RecursionForecast:
         """See ``Method``."""
-        start = received(served, self._layout, self.bounds, self._models.newest(served.slots))
-        inputs = input_sets(self._profile, self._layout, self._horizon, served)
-        models = self._models.models(served.slots, inputs)
+        start = received(request, self._layout, self.bounds, self._models.newest(request.slots))
+        inputs = input_sets(self._profile, self._layout, self._horizon, request)
+        models = self._models.models(request.slots, inputs)
         motion = Recursion(inputs, models, self.bounds.process, self._layout, self._membership)
-        seen = self._models.seen(served.slots)
-        outlook = outlook_of(self._profile, self._layout, self._horizon, served, start, seen)
+        seen = self._models.seen(request.slots)
+        outlook = outlook_of(self._profile, self._layout, self._horizon, request, start, seen)
         return RecursionForecast(start, motion, self._profile.position, self._profile.cuts, outlook)
 
 
@@ -102,29 +102,28 @@ def lags_missing(block: Block, layout: RegressorSpec) -> Reason:
 
 
 def inputs_unlimited(profile: VehicleProfile, horizon: int, block: Block, known: PlannedInputs | None) -> Reason:
-    """Vehicles of which an input of the horizon is neither known nor limited."""
+    """Vehicles for which an input over the horizon is neither known nor limited."""
     needed = ~block.input_known[:, -1] | (known is None and horizon > 1)
     limited = bool(np.isfinite(np.concatenate(limits(profile))).all())
     return needed & (not limited), "no plan came, and the profile states no limits for an input"
 
 
-def input_sets(profile: VehicleProfile, layout: RegressorSpec, horizon: int, served: TubeRequest) -> InputSets:
-    """What the inputs of the horizon can be."""
-    u = lagged_inputs(served.block, layout)[:, -1].reshape(len(served.slots), layout.lags + 1, layout.m)
-    known = served.known
+def input_sets(profile: VehicleProfile, layout: RegressorSpec, horizon: int, request: TubeRequest) -> InputSets:
+    """Sets of the inputs over the horizon."""
+    u = lagged_inputs(request.block, layout)[:, -1].reshape(len(request.slots), layout.lags + 1, layout.m)
+    known = request.known
     return future_inputs(
-        profile, u[:, 1:], u[:, 0], served.block.input_known[:, -1], horizon,
+        profile, u[:, 1:], u[:, 0], request.block.input_known[:, -1], horizon,
         None if known is None else known.plan, None if known is None else known.tolerance,
     )  # fmt: skip
 
 
 def outlook_of(
-    profile: VehicleProfile, layout: RegressorSpec, horizon: int, served: TubeRequest, start: RawSets, seen: Seen
+    profile: VehicleProfile, layout: RegressorSpec, horizon: int, request: TubeRequest, start: RawSets, seen: Seen
 ) -> Outlook:
-    """What limits the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
-    data (``seen``), and what the profile states of true
-    states."""
-    block = served.block
+    """The limits of the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
+    data (``seen``), and what the profile states of true states."""
+    block = request.block
     z = np.concatenate([start.center[:, layout.free], lagged_inputs(block, layout)[:, -1]], axis=1)
     far = seen.outside(z)
     # An input of now that is not known may be anything within its limits.
@@ -141,21 +140,21 @@ def outlook_of(
     return Outlook(unseen, held, ahead.low, ahead.high)
 
 
-def received(served: TubeRequest, layout: RegressorSpec, bounds: NoiseBounds, newest: FloatArray) -> RawSets:
+def received(request: TubeRequest, layout: RegressorSpec, bounds: NoiseBounds, newest: FloatArray) -> RawSets:
     """The true states (B, n) now: the received ones, enlarged by the noise of measurement, and cut by the interval hull
     of what was predicted for them (set-membership filtering); outer bounds. Angles among the regressors are in the turn
     of the ``newest`` state that the models hold in.
 
-    A received state that no state of its prediction explains is taken alone; the audit tells of it.
+    A received state that no state of its prediction explains is taken alone; the audit reports it.
     """
-    x = unwrapped(served.block, layout)[:, -1]
+    x = unwrapped(request.block, layout)[:, -1]
     if layout.pose is None:
         turns = list(layout.angles)
         x[:, turns] = newest[:, turns] + wrap(x[:, turns] - newest[:, turns])
     start = RawSets.zonotope(x, np.broadcast_to(bounds.measurement, (len(x), *bounds.measurement.shape)))
-    if served.prior is None or not len(served.prior.rows):
+    if request.prior is None or not len(request.prior.rows):
         return start
-    rows, prior = served.prior.rows, served.prior.sets
+    rows, prior = request.prior.rows, request.prior.sets
     middle, half = prior.center.copy(), np.abs(prior.generators).sum(axis=2)
     for i in layout.angles:
         middle[:, i] = x[rows, i] + wrap(middle[:, i] - x[rows, i])

@@ -1,1 +1,1 @@
-"""What is learned from data, and what is known without it."""
+"""Models learned from data, and bounds that hold without data."""

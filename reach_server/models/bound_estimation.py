@@ -48,12 +48,12 @@ ASKED: Final = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistentBounds:
-    """Bounds that data agrees with, pair by pair: half-widths ``w`` (n,) of the process noise, in the frame of the
-    model, and slopes ``slope`` (n, p) of the residual function; ``kept`` (V, T) the data that passed the gate."""
+    """Bounds that the data satisfies, pair by pair: half-widths ``w`` (n,) of the process noise, in the frame of the
+    model, and slopes ``slope`` (n, p) of the residual function; ``retained`` (V, T) the data that passed the gate."""
 
     w: FloatArray
     slope: FloatArray
-    kept: NDArray[np.bool_]
+    retained: NDArray[np.bool_]
 
     def derivatives(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (n, p) of the derivatives of the dynamics that follow, for the ``matrix`` (V, n, 1 +
@@ -75,19 +75,19 @@ def consistent_bounds(
     if data.usable.sum(axis=1).min(initial=2) < 2:
         raise UsageError("noise and Lipschitz bounds need at least two transitions")
     residual = data.target - apply(matrix, data.z)
-    kept = data.usable & _passes(residual, data.usable)
-    gated = Transitions(data.z, data.target, kept, data.newest)
+    retained = data.usable & _passes(residual, data.usable)
+    gated = Transitions(data.z, data.target, retained, data.newest)
     added = noise_added(gated, layout, matrix, z_v)
     z_noise = np.concatenate([z_v[list(layout.free)], np.zeros(layout.regressors - len(layout.free))])
-    places = [np.flatnonzero(row) for row in kept]
-    z = [np.ascontiguousarray(data.z[v, rows]) for v, rows in enumerate(places)]
+    indices = [np.flatnonzero(row) for row in retained]
+    z = [np.ascontiguousarray(data.z[v, rows]) for v, rows in enumerate(indices)]
     n, p = matrix.shape[1], layout.regressors
     widths = np.mean([_nearest(one, np.ptp(one, axis=0)) for one in z], axis=0) + 2.0 * z_noise
     w, slope = np.zeros(n), np.zeros((n, p))
     for i in range(n):
-        r = [np.ascontiguousarray(residual[v, rows, i]) for v, rows in enumerate(places)]
+        r = [np.ascontiguousarray(residual[v, rows, i]) for v, rows in enumerate(indices)]
         w[i], slope[i] = _least(z, r, added[:, i], z_noise, widths)
-    return ConsistentBounds(w, slope, kept)
+    return ConsistentBounds(w, slope, retained)
 
 
 def noise_added(data: Transitions, layout: RegressorSpec, matrix: FloatArray, z_v: FloatArray) -> FloatArray:
@@ -153,7 +153,7 @@ def _least(
 def _settled(
     z: list[FloatArray], r: list[FloatArray], added: FloatArray, z_noise: FloatArray, w: float, slope: FloatArray
 ) -> tuple[float, FloatArray]:
-    """The bounds with w raised by what is left of violations, so that no pair contradicts them."""
+    """The bounds with w raised by the remaining violations, so that no pair contradicts them."""
     left = 0.0
     for one, values, noise in zip(z, r, added, strict=True):
         slack = 2.0 * (w + noise + float(slope @ z_noise))

@@ -1,9 +1,9 @@
-"""Which data bound the residual function on the way of a vehicle, compiled (``residuals`` says why any choice is
-sound).
+"""The data that bound the residual function best along the path of a vehicle, compiled.
 
-For some points on the way, with the bounds of ``residuals``: the data of least ``±d·r_j + Σ_i |d_i| drift_ji`` in every
-direction d, which are those that bind there, and the data of least weighted drift, which serve the hull. The way is
-that of the centers of the sets: one step after the other by the model alone.
+Any choice is sound (``set_membership``, which has the bounds). For some points on the path these are chosen: the data
+of least ``±d·r_j + Σ_i |d_i| drift_ji`` in every direction d, which are those that bind there, and the data of least
+weighted drift, which serve the hull. The path is that of the centers of the sets: one step after the other by the model
+alone.
 """
 
 from typing import NamedTuple
@@ -15,13 +15,13 @@ from reach_server.models.set_membership import Fitted, weigh
 from reach_server.numeric.jit import kernel, leaf_kernel
 from reach_server.numeric.types import FloatArray, IntArray
 
-#: Points on the way of a vehicle for which data is chosen.
+#: Points on the path of a vehicle for which data is chosen.
 POINTS = 3
 
 
 class Data(NamedTuple):
     """Transitions of V vehicles, the data last so that loops over it run through memory in order: regressors ``z``
-    (V, p, T), targets ``y`` (V, n, T), and which places hold a datum that counts, ``valid`` (V, T). Here also those of
+    (V, p, T), targets ``y`` (V, n, T), and which of them count, ``valid`` (V, T). Here also those of
     one vehicle, without the first axis."""
 
     z: FloatArray
@@ -30,20 +30,20 @@ class Data(NamedTuple):
 
 
 class SelectionWorkspace(NamedTuple):
-    """Room for a search: ``residual`` and ``drift`` (n, T), ``score`` (T,), ``best`` (lists, k) ascending and ``place``
-    (lists, k) of the data found, -1 where none, ``taken`` (T,)."""
+    """Arrays of a search: ``residual`` and ``drift`` (n, T), ``score`` (T,), ``best`` (lists, k) ascending and
+    ``index`` (lists, k) of the data found, -1 where none, ``chosen`` (T,)."""
 
     residual: FloatArray
     drift: FloatArray
     score: FloatArray
     best: FloatArray
-    place: IntArray
-    taken: NDArray[np.bool_]
+    found: IntArray
+    chosen: NDArray[np.bool_]
 
 
 @kernel
-def search_for(fitted: Fitted, size: int, points: int, membership: bool) -> SelectionWorkspace:
-    """Room to search ``size`` data for ``points`` points, as many of each kind as there is room for in ``fitted``."""
+def selection_workspace(fitted: Fitted, size: int, points: int, membership: bool) -> SelectionWorkspace:
+    """Workspace to search ``size`` data for ``points`` points, as many of each kind as fit into ``fitted``."""
     n = fitted.low.shape[1]
     kinds = 1 + 2 * (n + fitted.directions.shape[1]) if membership else 1
     each = max(1, fitted.z.shape[2] // (points * kinds))
@@ -80,18 +80,18 @@ def _drifts(data: Data, fitted: Fitted, v: int, at: FloatArray, drift: FloatArra
 
 
 @leaf_kernel
-def _rank(score: FloatArray, valid: NDArray[np.bool_], best: FloatArray, place: IntArray) -> None:
+def _rank(score: FloatArray, valid: NDArray[np.bool_], best: FloatArray, index: IntArray) -> None:
     """The data of least score."""
     last = len(best) - 1
     best[:] = np.inf
-    place[:] = -1
+    index[:] = -1
     for j in range(len(score)):
         if score[j] < best[last] and valid[j]:
             k = last
             while k > 0 and best[k - 1] > score[j]:
-                best[k], place[k] = best[k - 1], place[k - 1]
+                best[k], index[k] = best[k - 1], index[k - 1]
                 k -= 1
-            best[k], place[k] = score[j], j
+            best[k], index[k] = score[j], j
 
 
 @leaf_kernel
@@ -109,46 +109,46 @@ def _search(
     points: FloatArray,
     weights: FloatArray,
     membership: bool,
-    room: SelectionWorkspace,
+    workspace: SelectionWorkspace,
 ) -> None:
-    """The data of least score of every kind at every point."""
-    n, ways = len(room.drift), fitted.directions.shape[1]
-    kinds = len(room.best) // len(points)
+    """Find the data of least score of every kind at every point."""
+    n, directions = len(workspace.drift), fitted.directions.shape[1]
+    kinds = len(workspace.best) // len(points)
     if membership:
-        _residuals(data, fitted, v, room.residual)
+        _residuals(data, fitted, v, workspace.residual)
     for number in range(len(points)):
-        _drifts(data, fitted, v, points[number], room.drift)
+        _drifts(data, fitted, v, points[number], workspace.drift)
         kind = number * kinds
-        room.score[:] = 0.0
+        workspace.score[:] = 0.0
         for i in range(n):
-            _add(room.drift, i, weights[i], room.score)
-        _rank(room.score, data.valid, room.best[kind], room.place[kind])
-        for way in range(n + ways if membership else 0):
+            _add(workspace.drift, i, weights[i], workspace.score)
+        _rank(workspace.score, data.valid, workspace.best[kind], workspace.found[kind])
+        for direction in range(n + directions if membership else 0):
             for side in range(2):
                 kind += 1
-                room.place[kind] = -1
-                room.score[:] = 0.0
+                workspace.found[kind] = -1
+                workspace.score[:] = 0.0
                 speaks = False
                 for i in range(n):
-                    d = (1.0 if i == way else 0.0) if way < n else fitted.directions[v, way - n, i]
+                    d = (1.0 if i == direction else 0.0) if direction < n else fitted.directions[v, direction - n, i]
                     if d != 0.0:
                         speaks = True
-                        _add(room.residual, i, d if side == 0 else -d, room.score)
-                        _add(room.drift, i, abs(d), room.score)
+                        _add(workspace.residual, i, d if side == 0 else -d, workspace.score)
+                        _add(workspace.drift, i, abs(d), workspace.score)
                 if speaks:
-                    _rank(room.score, data.valid, room.best[kind], room.place[kind])
+                    _rank(workspace.score, data.valid, workspace.best[kind], workspace.found[kind])
 
 
 @leaf_kernel
-def _take(data: Data, fitted: Fitted, v: int, place: int) -> None:
-    """Put one datum among those that bound the residual function."""
+def _select(data: Data, fitted: Fitted, v: int, index: int) -> None:
+    """Add one datum to those that bound the residual function."""
     held = fitted.held[v]
     for c in range(data.z.shape[0]):
-        fitted.z[v, c, held] = data.z[c, place]
+        fitted.z[v, c, held] = data.z[c, index]
     for i in range(data.y.shape[0]):
-        residual = data.y[i, place] - fitted.matrix[v, i, 0]
+        residual = data.y[i, index] - fitted.matrix[v, i, 0]
         for c in range(data.z.shape[0]):
-            residual -= fitted.matrix[v, i, 1 + c] * data.z[c, place]
+            residual -= fitted.matrix[v, i, 1 + c] * data.z[c, index]
         fitted.residual[v, i, held] = residual
     fitted.held[v] = held + 1
 
@@ -161,7 +161,7 @@ def choose_one(
     points: FloatArray,
     weights: FloatArray,
     membership: bool,
-    room: SelectionWorkspace,
+    workspace: SelectionWorkspace,
 ) -> None:
     """Fill ``z``, ``residual`` and ``held`` of model v from the data of its vehicle, at most as many as there is room
     for: all if they are no more, else those that ``points`` (P, p) need; at least one if there is any. None without any
@@ -178,19 +178,19 @@ def choose_one(
     if not knows:
         return
     if available > most:
-        _search(data, fitted, v, points, weights, membership, room)
-        room.taken[:] = False
+        _search(data, fitted, v, points, weights, membership, workspace)
+        workspace.chosen[:] = False
         # The best of every kind first, in case there is not room for all.
-        for k in range(room.place.shape[1]):
-            for kind in range(len(room.place)):
-                place = room.place[kind, k]
-                if place >= 0 and not room.taken[place] and fitted.held[v] < most:
-                    room.taken[place] = True
-                    _take(data, fitted, v, place)
+        for k in range(workspace.found.shape[1]):
+            for kind in range(len(workspace.found)):
+                index = workspace.found[kind, k]
+                if index >= 0 and not workspace.chosen[index] and fitted.held[v] < most:
+                    workspace.chosen[index] = True
+                    _select(data, fitted, v, index)
     if fitted.held[v] == 0:
         for j in range(size):
             if data.valid[j] and fitted.held[v] < most:
-                _take(data, fitted, v, j)
+                _select(data, fitted, v, j)
 
 
 @kernel
@@ -198,15 +198,15 @@ def choose_many(
     data: Data, rows: IntArray, fitted: Fitted, membership: bool, free: IntArray, increments: bool,
     state: FloatArray, past: FloatArray, inputs: FloatArray,
 ) -> None:  # fmt: skip
-    """``choose_one`` for models whose data stand in ``rows`` (B,) of ``data``, on the ways that begin at ``state``
-    (B, n), with lagged inputs ``past`` (B, lags, m) and centers of inputs ``inputs`` (B, N, m).
+    """``choose_one`` for models whose data stand in ``rows`` (B,) of ``data``, on the paths that begin at ``state`` (B,
+    n), with lagged inputs ``past`` (B, lags, m) and centers of inputs ``inputs`` (B, N, m).
 
     ``free``: the states among the regressors. ``increments``: the model gives changes of states, not states.
     """
     count, steps, m = inputs.shape
     lags, n, p = past.shape[1], state.shape[1], fitted.slope.shape[2]
     points = np.empty((min(POINTS, steps), p))
-    room = search_for(fitted, data.valid.shape[1], len(points), membership)
+    workspace = selection_workspace(fitted, data.valid.shape[1], len(points), membership)
     weights, here, after, at = np.empty(n), np.empty(n), np.empty(n), np.empty(p)
     for b in range(count):
         one = Data(data.z[rows[b]], data.y[rows[b]], data.valid[rows[b]])
@@ -227,4 +227,4 @@ def choose_many(
                 for c in range(p):
                     after[i] += fitted.matrix[b, i, 1 + c] * at[c]
             here[:] = after
-        choose_one(one, fitted, b, points, weights, membership, room)
+        choose_one(one, fitted, b, points, weights, membership, workspace)

@@ -1,5 +1,5 @@
-"""What stated limits say of where a vehicle can be, whatever its model is: its sets while it has none, later a bound of
-them."""
+"""Kinematic bounds: where a vehicle can be by its stated limits alone, used as its sets while it has no model, then as
+their bound."""
 
 from dataclasses import dataclass
 
@@ -15,13 +15,13 @@ OUTWARDS = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ahead:
-    """Bounds of the states 1 to N sample times after received ones: ``low`` and ``high`` (B, N, n); ``way`` (B, N)
+    """Bounds of the states 1 to N sample times after received ones: ``low`` and ``high`` (B, N, n); ``distance`` (B, N)
     bounds how far the true position gets from where it is now, and ``error`` (n,) are the half-widths of the stated
     measurement noise, zero where none is. What nothing bounds is infinite."""
 
     low: FloatArray
     high: FloatArray
-    way: FloatArray
+    distance: FloatArray
     error: FloatArray
 
 
@@ -50,13 +50,13 @@ def limits_ahead(profile: VehicleProfile, x: FloatArray, horizon: int) -> Ahead:
     if profile.noise.measurement is not None:
         error = np.abs(profile.noise.measurement.matrix()).sum(axis=1)
     t: FloatArray = profile.sample_time * np.arange(1.0, horizon + 1)
-    way = np.full((len(x), horizon), np.inf)
+    distance = np.full((len(x), horizon), np.inf)
     rate = np.array([np.inf if spec.rate is None else spec.rate for spec in states])
     change = np.broadcast_to(t[:, None] * rate, (len(x), horizon, len(states))).copy()
     positions = list(profile.position) if profile.roles.position is not None else []
     if positions:
-        way = _distance(profile, x, error, t)
-        change[..., positions] = np.minimum(change[..., positions], way[..., None])
+        distance = _distance(profile, x, error, t)
+        change[..., positions] = np.minimum(change[..., positions], distance[..., None])
     low, high = x[:, None] - error - change, x[:, None] + error + change
     for i, spec in enumerate(states):
         if spec.limits is not None and not spec.angle:
@@ -64,7 +64,7 @@ def limits_ahead(profile: VehicleProfile, x: FloatArray, horizon: int) -> Ahead:
             right = (x[:, i] + error[i] >= least) & (x[:, i] - error[i] <= greatest)
             low[right, :, i] = np.maximum(low[right, :, i], least)
             high[right, :, i] = np.minimum(high[right, :, i], greatest)
-    return Ahead(low, high, way, error)
+    return Ahead(low, high, distance, error)
 
 
 def limit_sets(profile: VehicleProfile, x: FloatArray, horizon: int) -> tuple[FloatArray, FloatArray] | None:
@@ -87,16 +87,16 @@ def limit_sets(profile: VehicleProfile, x: FloatArray, horizon: int) -> tuple[Fl
 
 
 def _distance(profile: VehicleProfile, x: FloatArray, error: FloatArray, t: FloatArray) -> FloatArray:
-    """Bound (B, N) of the way that a vehicle goes in the times ``t`` (N,)."""
-    way = np.full((len(x), len(t)), np.inf)
+    """Bound (B, N) of the distance that a vehicle covers in the times ``t`` (N,)."""
+    distance = np.full((len(x), len(t)), np.inf)
     if profile.roles.speed is None:
-        return way
-    way = np.zeros_like(way)
+        return distance
+    distance = np.zeros_like(distance)
     for name in (profile.roles.speed, profile.roles.lateral_speed):
         if name is not None:
             i = profile.state_names.index(name)
-            way += _integral(profile.state[name], np.abs(x[:, [i]]), error[i], t)
-    return way
+            distance += _integral(profile.state[name], np.abs(x[:, [i]]), error[i], t)
+    return distance
 
 
 def _integral(spec: StateSpec, received: FloatArray, error: float, t: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Linear systems: all models that agree with the data at once ([AKA+21]; measurement noise: [AKA+23]).
+"""Matrix zonotopes: all linear models that agree with the data ([AKA+21]; measurement noise: [AKA+23]).
 
 A vehicle with ``x+ = M z + w``, ``z = (x, u, lagged u)``, M constant and unknown, w in Z_w; measured ``y = x + v``,
 v in Z_v. With D (p, T) the measured regressors and ``Y+`` (n, T) the measured targets,
@@ -211,16 +211,16 @@ def l1_norms(inverse: FloatArray, vehicle: NDArray[np.intp], vectors: FloatArray
 
 @dataclass(slots=True, eq=False)
 class LinearMotion:
-    """How the sets of V vehicles move on by all models that agree with their data, under ``inputs``: a ``Motion``.
+    """Motion of the sets of V vehicles by all models that agree with their data, under ``inputs``.
 
-    ``process`` (n, g) are the generators of the process noise; ``kept_generators`` remain beside a box.
+    ``process`` (n, g) are the generators of the process noise; ``retained_generators`` remain beside a box.
     """
 
     inputs: InputSets
     models: LinearModels
     process: FloatArray
     layout: RegressorSpec
-    kept_generators: int = 32
+    retained_generators: int = 32
 
     @property
     def horizon(self) -> int:
@@ -252,14 +252,14 @@ class LinearMotion:
         noise = self.models.noise[vehicle] * (spread[:, None] + now)[:, None]
         noise[..., -n:] += (self.models.lost[vehicle] @ np.abs(vectors).sum(axis=2)[..., None]) * np.eye(n)
         matrix = self.models.matrix[vehicle]
-        kept = slice(n, n + lagged)
+        retained = slice(n, n + lagged)
         # The newest lag is the input of this step, the others move back by one.
-        moved = np.concatenate([matrix @ generators, generators[:, kept]], axis=1)
+        moved = np.concatenate([matrix @ generators, generators[:, retained]], axis=1)
         added = np.pad(noise, [(0, 0), (0, lagged), (0, 0)])
         after = RawSets(
-            np.concatenate([(matrix @ center[..., None])[..., 0], center[:, kept]], axis=1),
+            np.concatenate([(matrix @ center[..., None])[..., 0], center[:, retained]], axis=1),
             np.concatenate([moved, added], axis=2),
             np.pad(sets.matrix, [(0, 0), (0, 0), (0, m + added.shape[2])]),
             sets.offset,
         )
-        return after.reduced(self.kept_generators), self.models.contradicted[vehicle]
+        return after.reduced(self.retained_generators), self.models.contradicted[vehicle]

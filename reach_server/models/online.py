@@ -1,4 +1,4 @@
-"""Models of the vehicles of a class by slot, for guaranteed sets: kept up to date with the window, fitted now and then.
+"""Least-squares models of the vehicles of a class, by slot: they follow the window and are fitted again now and then.
 
 A model is fitted again after ``REFIT_EVERY`` samples; in between, the hull of the residuals and the noise set are
 extended by what enters, so that they hold for all data (any M is sound when the bounds are those of that same M; data
@@ -22,7 +22,8 @@ from reach_server.data.readiness import samples_missing
 from reach_server.data.regressors import RegressorSpec
 from reach_server.data.reservoir import Reservoir
 from reach_server.data.window import Window
-from reach_server.models import recursive_least_squares as memory
+from reach_server.models import recursive_least_squares as rls
+from reach_server.models.cholesky import solve_many
 from reach_server.models.data_selection import Data, choose_many
 from reach_server.models.recursive_least_squares import KernelSpec, Samples, StreamingMoments
 from reach_server.models.residual_model import (
@@ -88,20 +89,20 @@ class ResidualModels:
         exact = np.zeros(p + n, dtype=bool)
         if layout.pose is not None:
             exact[[p + layout.pose[0], p + layout.pose[1]]] = True
-        self._kind = KernelSpec(
+        self._spec = KernelSpec(
             np.array(layout.free, dtype=np.int64), np.array(layout.angles, dtype=np.int64), layout.pose or (-1, -1, -1),
             layout.lags, exact,
         )  # fmt: skip
         self._reservoir = Reservoir(profile.reservoir, p, n)
-        places = window.size + profile.reservoir
+        capacity = window.size + profile.reservoir
         whole: tuple[int, ...] = ()
         shapes = (
-            ((p, places), float), ((n, places), float), ((places,), bool), ((n,), float),
+            ((p, capacity), float), ((n, capacity), float), ((capacity,), bool), ((n,), float),
             (whole, np.int64), (whole, np.int64), (whole, np.int64),
             ((p + n,), float), ((1 + p, 1 + p + n), float), ((p,), float), (whole, np.int64),
             ((n,), float), ((n,), float), ((p + n,), float),
         )  # fmt: skip
-        self._memory = StreamingMoments(*(np.zeros((0, *shape), dtype=kind) for shape, kind in shapes))
+        self._stream = StreamingMoments(*(np.zeros((0, *shape), dtype=kind) for shape, kind in shapes))
         self._revision = np.zeros(0, dtype=np.int64)
         nothing = np.zeros((0, n, 1 + p))
         noise = noise_set(nothing, np.zeros((0, p + n)), layout, bounds)
@@ -118,7 +119,7 @@ class ResidualModels:
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
-        self._memory = StreamingMoments(*(grow_rows(array, slots, array) for array in self._memory))
+        self._stream = StreamingMoments(*(grow_rows(array, slots, array) for array in self._stream))
         self._reservoir.grow(slots)
         self._revision = grow_rows(self._revision, slots, self._revision)
         for field in fields(self._store):
@@ -128,7 +129,7 @@ class ResidualModels:
     def reset(self, slot: int) -> None:
         """Forget the data and the model of one vehicle."""
         # What is not data either: about which center moments are taken, and the largest regressors.
-        for array in self._memory:
+        for array in self._stream:
             array[slot] = 0
         self._reservoir.clear(slot)
         self._store.fitted[slot] = False
@@ -139,7 +140,7 @@ class ResidualModels:
 
     def missing(self, slots: IndexArray) -> NDArray[np.int64]:
         """How many samples more some vehicles (B,) need at least before they have a model; 0 where they have one."""
-        lacking = samples_missing(self._window, slots, self._memory.data[slots], self._least, self._layout.lags + 1)
+        lacking = samples_missing(self._window, slots, self._stream.data[slots], self._least, self._layout.lags + 1)
         return np.asarray(np.where(self._store.fitted[slots], 0, np.maximum(lacking, 1)))
 
     @property
@@ -151,63 +152,63 @@ class ResidualModels:
         return np.asarray(self._store.rank_deficient[slots])
 
     def newest(self, slots: IndexArray) -> FloatArray:
-        """The newest states (B, n) that were taken in, angles in the turn that the models hold in."""
-        return np.asarray(self._memory.newest[slots])
+        """The newest states (B, n) in the data, angles in the turn that the models hold in."""
+        return np.asarray(self._stream.newest[slots])
 
     def seen(self, slots: IndexArray) -> Seen:
-        """The regressors that the windows of some vehicles (B,) show."""
+        """Ranges of the regressors in the windows of some vehicles (B,)."""
         return Seen(self._store.low[slots], self._store.high[slots])
 
     def learn(self, slots: IndexArray) -> None:
-        """Take in what has come of some vehicles (B,), each once, and fit where it is time."""
+        """Update some vehicles (B,), each named once, with their new samples, and fit those that are due."""
         slots = slots.astype(np.int64)
         changed = slots[self._revision[slots] != self._window.revision[slots]]
         for slot in changed.tolist():
-            memory.forget(self._memory, slot, 0)
+            rls.forget(self._stream, slot, 0)
         self._revision[changed] = self._window.revision[changed]
         columns = self._window.columns()
         samples = Samples(columns.x, columns.u, columns.run, columns.input_known, columns.gated, self._window.count)
         grew = np.zeros(len(slots), dtype=bool)
-        p, n, keeps = self._layout.regressors, self._layout.n, self._reservoir.size > 0
+        p, n, retains = self._layout.regressors, self._layout.n, self._reservoir.size > 0
         # Of what came, a window holds no more than its size.
-        new = np.minimum(self._window.count[slots] - self._memory.taken[slots], self._window.size)
-        left = np.empty((int(new.sum()) if keeps else 0, 1 + p + n))
-        gone = memory.take_in(slots, samples, self._kind, self._memory, self._store.matrix, grew, left)
-        if gone:
-            self._offer(left[:gone])
+        new = np.minimum(self._window.count[slots] - self._stream.processed[slots], self._window.size)
+        evicted = np.empty((int(new.sum()) if retains else 0, 1 + p + n))
+        count = rls.update(slots, samples, self._spec, self._stream, self._store.matrix, grew, evicted)
+        if count:
+            self._offer(evicted[:count])
         fitted = self._store.fitted[slots]
         if len(wider := slots[grew & fitted]):
             self._store.noise[wider] = noise_set(
-                self._store.matrix[wider], self._memory.largest[wider], self._layout, self._bounds
+                self._store.matrix[wider], self._stream.largest[wider], self._layout, self._bounds
             )
-        due = (self._memory.data[slots] >= self._least) & (~fitted | (self._memory.since[slots] >= REFIT_EVERY))
+        due = (self._stream.data[slots] >= self._least) & (~fitted | (self._stream.since_fit[slots] >= REFIT_EVERY))
         if due.any():
             self._fit(slots[due])
 
-    def _offer(self, left: FloatArray) -> None:
-        """Offer what has left the window to the reservoir; it counts from the next fit on."""
-        slots, p = left[:, 0].astype(np.intp), self._layout.regressors
-        moments = self._memory.moments[slots]
+    def _offer(self, evicted: FloatArray) -> None:
+        """Offer evicted data to the reservoir; it counts from the next fit on."""
+        slots, p = evicted[:, 0].astype(np.intp), self._layout.regressors
+        moments = self._stream.moments[slots]
         mean = moments[:, 0, 1 : 1 + p] / np.maximum(moments[:, :1, 0], 1.0)
         square = np.einsum("bcc->bc", moments[:, 1:, 1 : 1 + p]) / np.maximum(moments[:, :1, 0], 1.0)
         scale = np.sqrt(np.maximum(square - mean**2, 0.0))
-        self._reservoir.offer(slots, left[:, 1 : 1 + p], left[:, 1 + p :], scale)
+        self._reservoir.offer(slots, evicted[:, 1 : 1 + p], evicted[:, 1 + p :], scale)
 
     def _recall(self, slots: NDArray[np.int64]) -> None:
-        """Let the rows of the reservoir count among the data of some vehicles."""
+        """Add the rows of the reservoir to the data of some vehicles."""
         z, y, held = self._reservoir.rows(slots)
         size = self._window.size
-        self._memory.z[slots, :, size:] = np.swapaxes(z, 1, 2)
-        self._memory.y[slots, :, size:] = np.swapaxes(y, 1, 2)
-        self._memory.valid[slots, size:] = np.arange(self._reservoir.size) < held[:, None]
+        self._stream.z[slots, :, size:] = np.swapaxes(z, 1, 2)
+        self._stream.y[slots, :, size:] = np.swapaxes(y, 1, 2)
+        self._stream.valid[slots, size:] = np.arange(self._reservoir.size) < held[:, None]
 
     def _fit(self, slots: NDArray[np.int64]) -> None:
         """Fit the models of some vehicles anew."""
         p, n, store = self._layout.regressors, self._layout.n, self._store
         covariance, cross = np.empty((len(slots), p, p)), np.empty((len(slots), p, n))
         means, matrix = np.empty((len(slots), p + n)), np.empty((len(slots), n, 1 + p))
-        memory.covariances(slots, self._memory, self._window.size, covariance, cross, means)
-        doubtful = ~memory.solve_many(covariance, cross, means, matrix)
+        rls.covariances(slots, self._stream, self._window.size, covariance, cross, means)
+        doubtful = ~solve_many(covariance, cross, means, matrix)
         store.rank_deficient[slots] = False
         if doubtful.any():
             matrix[doubtful], store.rank_deficient[slots[doubtful]] = solve(
@@ -215,38 +216,38 @@ class ResidualModels:
             )
         if self._reservoir.size:
             self._recall(slots)
-        memory.bound_many(slots, self._memory, matrix, self._kind)
-        noise = noise_set(matrix, self._memory.largest[slots], self._layout, self._bounds)
+        rls.bound_many(slots, self._stream, matrix, self._spec)
+        noise = noise_set(matrix, self._stream.largest[slots], self._layout, self._bounds)
         store.matrix[slots], store.noise[slots] = matrix, noise
         store.slope[slots] = residual_slope(matrix, self._lipschitz)
         store.directions[slots] = thin_directions(noise)
         new = slots[~store.fitted[slots]]
         phase = self._phase(new)
-        self._memory.since[new] = phase % REFIT_EVERY
-        self._memory.age[new] = phase % self._window.size
+        self._stream.since_fit[new] = phase % REFIT_EVERY
+        self._stream.age[new] = phase % self._window.size
         store.fitted[slots] = True
-        ranges_many(slots, self._memory.z, self._memory.valid, store.low, store.high)
+        ranges_many(slots, self._stream.z, self._stream.valid, store.low, store.high)
 
     def _phase(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Numbers (B,) that follow from the data of vehicles just fitted, and are spread like chance."""
-        bits = self._memory.low[slots].view(np.uint64)
+        """Pseudo-random numbers (B,) that depend only on the data of vehicles just fitted."""
+        bits = self._stream.low[slots].view(np.uint64)
         mixed = (bits * np.uint64(0x9E3779B97F4A7C15)).sum(axis=1, dtype=np.uint64)
         return np.asarray(mixed >> np.uint64(33), dtype=np.int64)
 
     def models(self, slots: IndexArray, inputs: InputSets) -> Model:
-        """The models of some vehicles (B,) that are ready, each with the data that binds on the way that begins at its
-        newest state under the ``inputs``."""
+        """The models of some vehicles (B,) that are ready, each with the data that binds along the path from its newest
+        state under the ``inputs``."""
         slots, store = slots.astype(np.int64), self._store
         p, n, count = self._layout.regressors, self._layout.n, len(slots)
         found = Model(
             store.matrix[slots], np.zeros((count, p, self._nearest)), np.zeros((count, n, self._nearest)),
-            np.zeros(count, dtype=np.int64), self._memory.low[slots], self._memory.high[slots], store.noise[slots],
+            np.zeros(count, dtype=np.int64), self._stream.low[slots], self._stream.high[slots], store.noise[slots],
             store.slope[slots], regressor_noise(self._layout, self._bounds, count), store.directions[slots],
-            store.rank_deficient[slots], self._memory.newest[slots],
+            store.rank_deficient[slots], self._stream.newest[slots],
         )  # fmt: skip
         choose_many(
-            Data(self._memory.z, self._memory.y, self._memory.valid), slots, found.arrays(), self._membership,
-            self._kind.free, self._layout.pose is not None, found.newest, *_contiguous(inputs.past, inputs.center),
+            Data(self._stream.z, self._stream.y, self._stream.valid), slots, found.arrays(), self._membership,
+            self._spec.free, self._layout.pose is not None, found.newest, *_contiguous(inputs.past, inputs.center),
         )  # fmt: skip
         return found
 

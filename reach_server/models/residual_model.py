@@ -94,7 +94,7 @@ class Model:
     newest: FloatArray
 
     def arrays(self) -> Fitted:
-        """What kernels need."""
+        """The arrays in the form that kernels take."""
         return Fitted(*(getattr(self, name) for name in Fitted._fields))
 
 
@@ -123,12 +123,12 @@ def solve(
     inverse = np.where(varies, 1.0 / np.where(varies, scale, 1.0), 0.0)
     correlation = covariance * inverse[:, :, None] * inverse[:, None, :]
     values, vectors = np.linalg.eigh(correlation)
-    kept = values > FULL_RANK * np.maximum(values[:, -1:], 1e-300)
-    spectrum = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+    retained = values > FULL_RANK * np.maximum(values[:, -1:], 1e-300)
+    spectrum = np.where(retained, 1.0 / np.where(retained, values, 1.0), 0.0)
     scaled = (vectors * spectrum[:, None, :]) @ (np.swapaxes(vectors, 1, 2) @ (cross * inverse[:, :, None]))
     slopes = np.swapaxes(scaled * inverse[:, :, None], 1, 2)
     constant = y_mean - (slopes @ z_mean[..., None])[..., 0]
-    return np.concatenate([constant[..., None], slopes], axis=-1), ~kept.all(axis=1)
+    return np.concatenate([constant[..., None], slopes], axis=-1), ~retained.all(axis=1)
 
 
 def apply(matrix: FloatArray, z: FloatArray) -> FloatArray:

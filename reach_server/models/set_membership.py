@@ -1,4 +1,4 @@
-"""Bounds of a residual function from data, compiled: which data to take, and the set that they leave.
+"""Set-membership bounds of a residual function from data, compiled.
 
 Data j = 1 … T has regressors z_j and residuals ``r_j = y+_j - M [1; z_j]``; the residual function e, at the true
 regressors ξ_j of the data, satisfies ``e(ξ_j) ∈ r_j ⊕ N`` (``model``), N symmetric, and ``|e_i(ξ) - e_i(ξ')| <= Σ_c
@@ -26,8 +26,8 @@ the same data. Where a lower bound exceeds its upper bound the data contradicts 
 said. Without any bound L every single datum would speak about the whole set: then the hull is taken, too; such models
 hold no data.
 
-*Any subset of the data is sound*, as each datum gives a bound of its own. ``selection`` takes, for some points on the
-way that the vehicle will go, the data that bind there: those of least ``±d·r_j + Σ|d_i| drift_ji`` in every direction,
+*Any subset of the data is sound*, as each datum gives a bound of its own. ``data_selection`` chooses, for some points
+on the path of the vehicle, the data that bind there: those of least ``±d·r_j + Σ|d_i| drift_ji`` in every direction,
 and those of least drift. The half-widths of the set do not matter to the choice, they are the same for all data.
 
 Rounding. N carries what the residuals may have lost (``model``); what is computed here are sums of at most
@@ -51,7 +51,7 @@ TINY = float(np.finfo(np.float64).tiny)
 
 
 class Fitted(NamedTuple):
-    """Arrays of ``model.Model``, a row a vehicle, all contiguous."""
+    """Arrays of ``residual_model.Model``, one row per vehicle, all contiguous."""
 
     matrix: FloatArray
     z: FloatArray
@@ -66,7 +66,7 @@ class Fitted(NamedTuple):
 
 
 class HullWorkspace(NamedTuple):
-    """Room for what ``residual_one`` needs on the way: ``drift`` (n, B), ``distance`` (2, B), ``sides`` (6, n + K),
+    """Intermediate arrays of ``residual_one``: ``drift`` (n, B), ``distance`` (2, B), ``sides`` (6, n + K),
     ``normals`` (n + K, n), ``active`` and ``acted`` (n + K,), ``center`` (n,), ``generators`` (n, C), ``cuts``."""
 
     drift: FloatArray
@@ -81,37 +81,37 @@ class HullWorkspace(NamedTuple):
 
 
 @kernel
-def room_for(fitted: Fitted) -> HullWorkspace:
-    """Room for the sets of some models."""
+def hull_workspace(fitted: Fitted) -> HullWorkspace:
+    """Workspace for the sets of some models."""
     n, data = fitted.residual.shape[1], fitted.residual.shape[2]
-    ways = n + fitted.directions.shape[1]
-    columns = fitted.noise.shape[2] + n + 2 * ways
-    normals = np.zeros((ways, n))
+    directions = n + fitted.directions.shape[1]
+    columns = fitted.noise.shape[2] + n + 2 * directions
+    normals = np.zeros((directions, n))
     for i in range(n):
         normals[i, i] = 1.0
     return HullWorkspace(
-        np.empty((n, data)), np.empty((2, data)), np.zeros((6, ways)), normals, np.empty(ways, np.bool_),
-        np.empty(ways, np.uint8), np.empty(n), np.zeros((n, columns)), np.empty((WORK, max(n, columns))),
+        np.empty((n, data)), np.empty((2, data)), np.zeros((6, directions)), normals, np.empty(directions, np.bool_),
+        np.empty(directions, np.uint8), np.empty(n), np.zeros((n, columns)), np.empty((WORK, max(n, columns))),
     )  # fmt: skip
 
 
 @leaf_kernel
-def _drifts(fitted: Fitted, v: int, q: FloatArray, room: HullWorkspace) -> None:
+def _drifts(fitted: Fitted, v: int, q: FloatArray, workspace: HullWorkspace) -> None:
     """``Σ_c L_ic |q - z_j|_c`` of all data of a vehicle."""
-    n, count = len(room.drift), fitted.held[v]
+    n, count = len(workspace.drift), fitted.held[v]
     # Indices instead of views of rows: a view costs as much as the work on it.
     for i in range(n):
         for j in range(count):
-            room.drift[i, j] = 0.0
+            workspace.drift[i, j] = 0.0
     for c in range(len(q)):
         at = q[c]
         for j in range(count):
-            room.distance[0, j] = abs(at - fitted.z[v, c, j])
+            workspace.distance[0, j] = abs(at - fitted.z[v, c, j])
         for i in range(n):
             slope = fitted.slope[v, i, c]
             if slope != 0.0:
                 for j in range(count):
-                    room.drift[i, j] += slope * room.distance[0, j]
+                    workspace.drift[i, j] += slope * workspace.distance[0, j]
 
 
 @leaf_kernel
@@ -128,71 +128,71 @@ def weigh(fitted: Fitted, v: int, weights: FloatArray) -> None:
 
 
 @leaf_kernel
-def _nearest(count: int, room: HullWorkspace, weights: FloatArray) -> int:
+def _nearest(count: int, workspace: HullWorkspace, weights: FloatArray) -> int:
     """The datum of least weighted drift."""
     best, least = 0, np.inf
     for j in range(count):
         size = 0.0
         for i in range(len(weights)):
-            size += weights[i] * room.drift[i, j]
+            size += weights[i] * workspace.drift[i, j]
         if size < least:
             best, least = j, size
     return best
 
 
 @leaf_kernel
-def _sides(fitted: Fitted, v: int, way: int, constant: FloatArray, room: HullWorkspace) -> None:
+def _sides(fitted: Fitted, v: int, direction: int, constant: FloatArray, workspace: HullWorkspace) -> None:
     """Bounds of d·e over all data: ``sides[0]`` and ``sides[1]``."""
-    n, count = len(room.drift), fitted.held[v]
+    n, count = len(workspace.drift), fitted.held[v]
     for j in range(count):
-        room.distance[0, j] = 0.0
-        room.distance[1, j] = 0.0
+        workspace.distance[0, j] = 0.0
+        workspace.distance[1, j] = 0.0
     slack, reach = 0.0, 0.0
     for i in range(n):
-        d = room.normals[way, i]
+        d = workspace.normals[direction, i]
         if d != 0.0:
             slack += abs(d) * constant[i]
             reach += abs(d) * max(abs(fitted.low[v, i]), abs(fitted.high[v, i]))
             for j in range(count):
-                room.distance[0, j] += d * fitted.residual[v, i, j]
-                room.distance[1, j] += abs(d) * room.drift[i, j]
+                workspace.distance[0, j] += d * fitted.residual[v, i, j]
+                workspace.distance[1, j] += abs(d) * workspace.drift[i, j]
     for g in range(fitted.noise.shape[2]):
         height = 0.0
         for i in range(n):
-            height += room.normals[way, i] * fitted.noise[v, i, g]
+            height += workspace.normals[direction, i] * fitted.noise[v, i, g]
         slack += abs(height)
     low, high = -np.inf, np.inf
     for j in range(count):
-        low = max(low, room.distance[0, j] - room.distance[1, j])
-        high = min(high, room.distance[0, j] + room.distance[1, j])
+        low = max(low, workspace.distance[0, j] - workspace.distance[1, j])
+        high = min(high, workspace.distance[0, j] + workspace.distance[1, j])
     margin = (fitted.slope.shape[2] + n + 8) * EPS
-    room.sides[0, way] = low - slack - margin * (abs(low) + reach + slack)
-    room.sides[1, way] = high + slack + margin * (abs(high) + reach + slack)
+    workspace.sides[0, direction] = low - slack - margin * (abs(low) + reach + slack)
+    workspace.sides[1, direction] = high + slack + margin * (abs(high) + reach + slack)
 
 
 @leaf_kernel
-def _hull(fitted: Fitted, v: int, half: FloatArray, extra: FloatArray, room: HullWorkspace) -> int:
+def _hull(fitted: Fitted, v: int, half: FloatArray, extra: FloatArray, workspace: HullWorkspace) -> int:
     """The hull set with ``half`` (n,) for its box, and a box of ``extra`` half-widths beside it; its columns."""
-    n, g = len(room.center), fitted.noise.shape[2]
+    n, g = len(workspace.center), fitted.noise.shape[2]
     for i in range(n):
-        room.center[i] = (fitted.low[v, i] + fitted.high[v, i]) / 2
+        workspace.center[i] = (fitted.low[v, i] + fitted.high[v, i]) / 2
         for k in range(g):
-            room.generators[i, k] = fitted.noise[v, i, k]
-        room.generators[i, i] += half[i] + extra[i]
+            workspace.generators[i, k] = fitted.noise[v, i, k]
+        workspace.generators[i, i] += half[i] + extra[i]
     return int(g)
 
 
 @leaf_kernel
-def _axis_box(extra: FloatArray, room: HullWorkspace) -> int:
+def _axis_box(extra: FloatArray, workspace: HullWorkspace) -> int:
     """The box of the bounds in the axes, enlarged by ``extra`` half-widths; its columns."""
-    n = len(room.center)
+    n = len(workspace.center)
     for i in range(n):
-        low, high = room.sides[0, i], room.sides[1, i]
-        room.center[i] = (low + high) / 2
+        low, high = workspace.sides[0, i], workspace.sides[1, i]
+        workspace.center[i] = (low + high) / 2
         for k in range(n):
-            room.generators[i, k] = 0.0
+            workspace.generators[i, k] = 0.0
         # Half the difference may round below what the rounded center needs.
-        room.generators[i, i] = (high - low) / 2 + EPS * (abs(low) + abs(high)) + extra[i]
+        workspace.generators[i, i] = (high - low) / 2 + EPS * (abs(low) + abs(high)) + extra[i]
     return n
 
 
@@ -221,12 +221,13 @@ def residual_one(
     membership: bool,
     plane0: int,
     plane1: int,
-    room: HullWorkspace,
+    workspace: HullWorkspace,
 ) -> tuple[int, bool]:
-    """The set that holds e on the regressors ``q ± half`` (p,), sum a box of half-widths ``extra`` (n,), to
-    ``room.center`` and ``room.generators``: its columns, and whether the data contradicts the stated bounds."""
-    n = len(room.center)
-    constant, hull_half = room.sides[2], room.sides[4]
+    """The set that holds e on the regressors ``q ± half`` (p,), plus a box of half-widths ``extra`` (n,),
+    written to ``workspace.center`` and ``workspace.generators``: the number of its columns, and whether the data
+    contradicts the stated bounds."""
+    n = len(workspace.center)
+    constant, hull_half = workspace.sides[2], workspace.sides[4]
     known, nearest = False, 0
     for i in range(n):
         constant[i], hull_half[i] = 0.0, 0.0
@@ -236,65 +237,65 @@ def residual_one(
                 constant[i] += slope * (half[c] + fitted.z_noise[v, c])
                 known = True
     if known:
-        weights = room.sides[3, :n]
-        _drifts(fitted, v, q, room)
+        weights = workspace.sides[3, :n]
+        _drifts(fitted, v, q, workspace)
         weigh(fitted, v, weights)
-        nearest = _nearest(fitted.held[v], room, weights)
+        nearest = _nearest(fitted.held[v], workspace, weights)
         for i in range(n):
             # Bounds of slopes say nothing without a datum.
-            hull_half[i] = room.drift[i, nearest] + constant[i] if fitted.held[v] > 0 else np.inf
+            hull_half[i] = workspace.drift[i, nearest] + constant[i] if fitted.held[v] > 0 else np.inf
     margin = 1.0 + (len(q) + n + 8) * EPS
     for i in range(n):
         low, high = fitted.low[v, i], fitted.high[v, i]
         hull_half[i] = (hull_half[i] + (high - low) / 2) * margin + EPS * (abs(low) + abs(high))
     if not (membership and known):
-        return _hull(fitted, v, hull_half, extra, room), False
-    for way in range(len(room.normals)):
-        room.active[way] = way < n
-        if way >= n:
+        return _hull(fitted, v, hull_half, extra, workspace), False
+    for direction in range(len(workspace.normals)):
+        workspace.active[direction] = direction < n
+        if direction >= n:
             for i in range(n):
-                room.normals[way, i] = fitted.directions[v, way - n, i]
-                room.active[way] = room.active[way] or room.normals[way, i] != 0.0
-        if room.active[way]:
-            _sides(fitted, v, way, constant, room)
-            low, high = room.sides[0, way], room.sides[1, way]
+                workspace.normals[direction, i] = fitted.directions[v, direction - n, i]
+                workspace.active[direction] = workspace.active[direction] or workspace.normals[direction, i] != 0.0
+        if workspace.active[direction]:
+            _sides(fitted, v, direction, constant, workspace)
+            low, high = workspace.sides[0, direction], workspace.sides[1, direction]
             # Written so that a NaN counts as a contradiction.
             if not low <= high + CONTRADICTION * (abs(low) + abs(high)):
-                return _hull(fitted, v, hull_half, extra, room), True
-            room.sides[0, way], room.sides[1, way] = min(low, high), max(low, high)
-    return _smaller(fitted, v, hull_half, extra, plane0, plane1, room)
+                return _hull(fitted, v, hull_half, extra, workspace), True
+            workspace.sides[0, direction], workspace.sides[1, direction] = min(low, high), max(low, high)
+    return _smaller(fitted, v, hull_half, extra, plane0, plane1, workspace)
 
 
 @leaf_kernel
 def _smaller(
-    fitted: Fitted, v: int, hull_half: FloatArray, extra: FloatArray, plane0: int, plane1: int, room: HullWorkspace
+    fitted: Fitted, v: int, hull_half: FloatArray, extra: FloatArray, plane0: int, plane1: int, workspace: HullWorkspace
 ) -> tuple[int, bool]:
     """The smaller one of hull and box, cut by the strips that are left; see ``residual_one``.
 
     The box lies in the interval hull of the hull set: the bounds of one datum, the nearest, would lie there already.
     """
-    n, nothing = len(room.center), room.sides[5]
+    n, nothing = len(workspace.center), workspace.sides[5]
     cuts = False
-    for way in range(n, len(room.active)):
-        cuts = cuts or room.active[way]
-    used = _axis_box(nothing if cuts else extra, room)
-    box_size = _log_size(room.generators, used, plane0, plane1)
-    used = _hull(fitted, v, hull_half, nothing, room)
-    if box_size <= _log_size(room.generators, used, plane0, plane1):
-        used = _axis_box(nothing if cuts else extra, room)
+    for direction in range(n, len(workspace.active)):
+        cuts = cuts or workspace.active[direction]
+    used = _axis_box(nothing if cuts else extra, workspace)
+    box_size = _log_size(workspace.generators, used, plane0, plane1)
+    used = _hull(fitted, v, hull_half, nothing, workspace)
+    if box_size <= _log_size(workspace.generators, used, plane0, plane1):
+        used = _axis_box(nothing if cuts else extra, workspace)
         if not cuts:
             return used, False
         for i in range(n):
-            room.active[i] = False
+            workspace.active[i] = False
     used, empty = narrow_one(
-        room.center, room.generators, used, room.normals, room.sides[0], room.sides[1], room.active,
-        plane0, plane1, False, room.acted, room.cuts,
+        workspace.center, workspace.generators, used, workspace.normals, workspace.sides[0], workspace.sides[1],
+        workspace.active, plane0, plane1, False, workspace.acted, workspace.cuts,
     )  # fmt: skip
     if empty:
-        return _hull(fitted, v, hull_half, extra, room), True
+        return _hull(fitted, v, hull_half, extra, workspace), True
     for k in range(n):
         for i in range(n):
-            room.generators[i, used + k] = extra[i] if i == k else 0.0
+            workspace.generators[i, used + k] = extra[i] if i == k else 0.0
     return used + n, False
 
 
@@ -304,13 +305,13 @@ def residual_sets(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """``residual_one`` for a box (V, p) of every vehicle: centers (V, n), generators (V, n, g), contradicted (V,)."""
     count, n = fitted.low.shape
-    room = room_for(fitted)
-    centers, generators = np.empty((count, n)), np.zeros((count, n, room.generators.shape[1]))
+    workspace = hull_workspace(fitted)
+    centers, generators = np.empty((count, n)), np.zeros((count, n, workspace.generators.shape[1]))
     contradicted = np.empty(count, np.bool_)
     nothing = np.zeros(n)
     for v in range(count):
-        used, wrong = residual_one(fitted, v, center[v], half[v], nothing, membership, plane0, plane1, room)
+        used, wrong = residual_one(fitted, v, center[v], half[v], nothing, membership, plane0, plane1, workspace)
         contradicted[v] = wrong
-        centers[v] = room.center
-        generators[v, :, :used] = room.generators[:, :used]
+        centers[v] = workspace.center
+        generators[v, :, :used] = workspace.generators[:, :used]
     return centers, generators, contradicted

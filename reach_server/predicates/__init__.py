@@ -1,4 +1,4 @@
-"""Predicates as cuts: what a set loses if a predicate is to hold of its states, and whether one certainly does."""
+"""Predicates: strips that cut a set to the states that satisfy one, and three-valued verdicts on whole sets."""
 
 from reach_server.predicates.discs import DISC_TANGENTS, tangents
 from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER, Context, ContextCache, Strips

@@ -1,4 +1,4 @@
-"""Predicates as cuts: the sets of a batch of branches, each cut by the predicates that its branch asks for."""
+"""Cuts of the sets of a batch of branches by the predicates that each branch asks for."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,11 +27,11 @@ class StepContexts(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutSets:
-    """Sets (R) after their cuts; where a literal left certainly nothing, and where it acted, (R, L)."""
+    """Sets (R) after their cuts; where a literal certainly left nothing, and where it cut, (R, L)."""
 
     sets: RawSets
     empty: NDArray[np.bool_]
-    acted: NDArray[np.bool_]
+    active: NDArray[np.bool_]
 
 
 def cut_sets(
@@ -45,7 +45,7 @@ def cut_sets(
 ) -> CutSets:
     """Cut sets (R) by the literals that are asked for, (R, L), over their first ``n`` coordinates: outer bounds.
 
-    What leaves certainly nothing is not applied; the caller drops such a branch.
+    A cut that certainly leaves nothing is not applied; the caller drops such a branch.
     """
     kind = CUT_KINDS[method]
     if kind.adds_constraints:
@@ -65,10 +65,10 @@ def cut_sets(
     cut = cut.narrowed(moving)
     if kind.passes > 1 and fixed and moving:
         # Cuts do not commute: the first ones may profit from the later ones.
-        again = (cut.acted.sum(axis=1) > 1) & ~cut.empty.any(axis=1)
+        again = (cut.active.sum(axis=1) > 1) & ~cut.empty.any(axis=1)
         if again.any():
             cut = cut.narrowed([_Asked(f.literal, f.bounds, f.rows & again) for f in fixed + moving])
-    return CutSets(cut.sets, cut.empty, cut.acted)
+    return CutSets(cut.sets, cut.empty, cut.active)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,16 +82,16 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Zonotopes:
-    """Zonotopes (R) on the way through their cuts; ``empty`` and ``acted`` (R, L) as in ``CutSets``."""
+    """Zonotopes (R) between cuts; ``empty`` and ``active`` (R, L) as in ``CutSets``."""
 
     sets: RawSets
     empty: NDArray[np.bool_]
-    acted: NDArray[np.bool_]
+    active: NDArray[np.bool_]
     kind: CutKind
     plane: tuple[int, int] | None
 
     def narrowed(self, asked: Sequence[_Asked]) -> "_Zonotopes":
-        """After the strips of some literals, all at once; notes what they did."""
+        """The zonotopes cut by the strips of some literals, all at once."""
         if not asked:
             return self
         found = strips.narrow(
@@ -102,10 +102,10 @@ class _Zonotopes:
         )  # fmt: skip
         owner = np.repeat([a.literal for a in asked], [a.bounds.lower.shape[-1] for a in asked])
         for c, literal in enumerate(owner.tolist()):
-            self.acted[:, literal] |= found.acted[:, c] & ACTED != 0
+            self.active[:, literal] |= found.acted[:, c] & ACTED != 0
             self.empty[:, literal] |= found.acted[:, c] & MISSED != 0
-        kept = int(found.used.max(initial=0))
-        return replace(self, sets=RawSets.zonotope(found.center, found.generators[:, :, :kept]))
+        retained = int(found.used.max(initial=0))
+        return replace(self, sets=RawSets.zonotope(found.center, found.generators[:, :, :retained]))
 
 
 def _side_by_side(arrays: list[NDArray[Any]], own: int) -> NDArray[Any]:
@@ -117,7 +117,7 @@ def _side_by_side(arrays: list[NDArray[Any]], own: int) -> NDArray[Any]:
 
 
 def _constrained(sets: RawSets, asked: NDArray[np.bool_], literals: Literals, contexts: Contexts, n: int) -> CutSets:
-    empty, acted = np.zeros_like(asked), np.zeros_like(asked)
+    empty, active = np.zeros_like(asked), np.zeros_like(asked)
     for literal in np.flatnonzero(asked.any(axis=0)).tolist():
         rows = np.flatnonzero(asked[:, literal])
         bounds, nothing = strips_of(sets, rows, literal, literals, contexts, n)
@@ -126,10 +126,10 @@ def _constrained(sets: RawSets, asked: NDArray[np.bool_], literals: Literals, co
             on = asked[:, literal] & ~empty[:, literal]
             sets, missed, cut = _constrain(sets, bounds, c, on, n)
             empty[:, literal] |= missed
-            acted[:, literal] |= cut
+            active[:, literal] |= cut
     if sets.matrix.shape[1]:
-        empty |= support.emptiness_certificate(sets.matrix, sets.offset)[:, None] & acted
-    return CutSets(sets, empty, acted)
+        empty |= support.emptiness_certificate(sets.matrix, sets.offset)[:, None] & active
+    return CutSets(sets, empty, active)
 
 
 def strips_of(

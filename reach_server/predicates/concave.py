@@ -54,9 +54,9 @@ def tangents(
     rows, count, s = points.shape
     repeated = np.repeat(given[0], count, axis=1), np.repeat(given[1], count, axis=1)
     flat = points.reshape(-1, s)
-    jet = field.jet(flat, flat, repeated, curved=False)
-    value = jet.value[1].reshape(rows, count)
-    normal, uncertain = (part.reshape(rows, count, s) for part in middle(jet.gradient))
+    enclosure = field.enclosure(flat, flat, repeated, curved=False)
+    value = enclosure.value[1].reshape(rows, count)
+    normal, uncertain = (part.reshape(rows, count, s) for part in middle(enclosure.gradient))
     # From the point to any x of the box.
     far = add_up(half[:, None], (1.0 + 4 * EPS) * np.abs(points - center[:, None]))
     bent = product(0.5 * np.maximum(curvature, 0.0)[:, None], upper_dot(far, far))[1]
@@ -150,9 +150,9 @@ def _refined(
     center, lower, upper = (a[:, None] for a in (expansion.center, expansion.lower, expansion.upper))
     flat = np.clip(center + first, lower, upper).reshape(-1, s)
     repeated = np.repeat(given[0], count, axis=1), np.repeat(given[1], count, axis=1)
-    jet = field.jet(flat, flat, repeated, curved=False)
-    value = middle(jet.value)[0].reshape(rows, count)
-    along = (middle(jet.gradient)[0].reshape(rows, count, s) * rays).sum(axis=2)
+    enclosure = field.enclosure(flat, flat, repeated, curved=False)
+    value = middle(enclosure.value)[0].reshape(rows, count)
+    along = (middle(enclosure.gradient)[0].reshape(rows, count, s) * rays).sum(axis=2)
     size = (rays**2).sum(axis=2)
     with np.errstate(all="ignore"):
         at = ((first - inside[:, None]) * rays).sum(axis=2) / size

@@ -17,38 +17,40 @@ from reach_server.predicates.concave import directions
 from reach_server.predicates.concave import tangents as tangents_at
 from reach_server.predicates.discs import DISC_TANGENTS, tangents
 from reach_server.predicates.halfspace import FixedStrips, missed
-from reach_server.predicates.interface import HOLDS, NEVER, Context, StateUncertainty, Status, Strips
+from reach_server.predicates.interface import HOLDS, NEVER, Context, StateUncertainty, Strips, Verdict
 from reach_server.predicates.interval_ad.enclosure import PredicateFunction
-from reach_server.predicates.nonlinear import NonlinearCutter
+from reach_server.predicates.nonlinear import NonlinearEnclosure
 from reach_server.predicates.remainders import greatest_curvature, middle, upper_dot
 from side_info.stl.expression import Expression, Name, Negation, Number, Power, Sum
 from side_info.stl.predicates import DiscPredicate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoundedCutter:
-    """A region within the tangents ``region``, and its definition, which is asked whether a set lies in it."""
+class ConvexRegionEnclosure:
+    """A region within the tangents ``region``, and its definition, which says whether a set lies in it."""
 
     region: FixedStrips
-    definition: NonlinearCutter
+    definition: NonlinearEnclosure
 
     @property
     def fixed(self) -> bool:
         """True."""
         return True
 
-    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
-        """See ``Cutter``."""
-        found = self.definition.status(center, generators, context)
+    def verdict(self, center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
+        """See ``PredicateEnclosure``."""
+        found = self.definition.verdict(center, generators, context)
         beyond = missed(self.region.moved, center, generators) & (found != HOLDS)
         return np.where(beyond, NEVER, found).astype(np.int8)
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
-        """See ``Cutter``."""
+        """See ``PredicateEnclosure``."""
         return self.region.cut, missed(self.region.cut, center, generators)
 
 
-def disc_strips(predicate: DiscPredicate, index: Mapping[str, int], n: int, blur: StateUncertainty) -> FixedStrips:
+def disc_strips(
+    predicate: DiscPredicate, index: Mapping[str, int], n: int, uncertainty: StateUncertainty
+) -> FixedStrips:
     """The strips of a disc's tangents."""
     directions, bounds = tangents(np.array(list(predicate.center.values())), predicate.radius)
     half = DISC_TANGENTS // 2
@@ -56,7 +58,7 @@ def disc_strips(predicate: DiscPredicate, index: Mapping[str, int], n: int, blur
     for name, column in zip(predicate.center, directions[:half].T, strict=True):
         # A profile may map both coordinates to the same state.
         normal[:, index[name]] += column
-    return FixedStrips(normal, -bounds[half:], bounds[:half], blur)
+    return FixedStrips(normal, -bounds[half:], bounds[:half], uncertainty)
 
 
 def disc_expression(predicate: DiscPredicate) -> Expression:
@@ -70,7 +72,7 @@ def disc_expression(predicate: DiscPredicate) -> Expression:
     return Sum((Power(Number(predicate.radius), Number(2.0)), *squares))
 
 
-def ellipsoid_strips(field: PredicateFunction, n: int, blur: StateUncertainty) -> FixedStrips | None:
+def ellipsoid_strips(field: PredicateFunction, n: int, uncertainty: StateUncertainty) -> FixedStrips | None:
     """The strips of tangents around ``h >= 0``; None where that is no ellipsoid, or hardly one."""
     s = field.dimension
     if not field.quadratic or not s:
@@ -81,8 +83,8 @@ def ellipsoid_strips(field: PredicateFunction, n: int, blur: StateUncertainty) -
         return None
     half_normal, lower, upper = found
     normal = np.zeros((len(lower), n))
-    normal[:, list(field.places)] = half_normal
-    return FixedStrips(normal, lower, upper, blur)
+    normal[:, list(field.coordinates)] = half_normal
+    return FixedStrips(normal, lower, upper, uncertainty)
 
 
 def _ellipsoid(field: PredicateFunction) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -90,17 +92,17 @@ def _ellipsoid(field: PredicateFunction) -> tuple[FloatArray, FloatArray, FloatA
     s = field.dimension
     nothing = np.zeros((0, 1)), np.zeros((0, 1))
     origin = np.zeros((1, s))
-    at_origin = field.jet(origin, origin, nothing)
+    at_origin = field.enclosure(origin, origin, nothing)
     curvature = greatest_curvature(at_origin.hessian)
     hessian, gradient = middle(at_origin.hessian)[0][0], middle(at_origin.gradient)[0][0]
     # An ellipsoid a million times longer than wide is as good as unbounded.
     if not curvature[0] < -1e-12 * np.abs(hessian).max():
         return None
     peak = np.linalg.solve(hessian, -gradient)[None]
-    jet = field.jet(peak, peak, nothing)
-    highest = jet.value[1][0]
-    steep = np.maximum(np.abs(jet.gradient[0]), np.abs(jet.gradient[1])).sum()
-    if not (np.isfinite(highest) and np.isfinite(steep)) or jet.value[0][0] <= 0:
+    enclosure = field.enclosure(peak, peak, nothing)
+    highest = enclosure.value[1][0]
+    steep = np.maximum(np.abs(enclosure.gradient[0]), np.abs(enclosure.gradient[1])).sum()
+    if not (np.isfinite(highest) and np.isfinite(steep)) or enclosure.value[0][0] <= 0:
         return None
     bend = -curvature[0]
     far = np.full((1, s), (1 + 1e-9) * (steep + np.sqrt(steep**2 + 2 * bend * highest)) / bend)

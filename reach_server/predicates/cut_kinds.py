@@ -1,4 +1,4 @@
-"""The ways to cut a set by predicates, each with what is different about it."""
+"""Methods to cut a set by predicates, each with its properties."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Linear bounds of h over zonotopes.
+"""Linear upper bounds of h over zonotopes.
 
 For true states x of a zonotope around c, with d = x - c, gradient J(c) and the gradients J and Hessians H over its box:
 
@@ -17,7 +17,7 @@ import numpy as np
 from reach_server.numeric.rounding import add_down, add_up, sum_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.interval_ad.arithmetic import Bounds
-from reach_server.predicates.interval_ad.enclosure import Jet, PredicateFunction
+from reach_server.predicates.interval_ad.enclosure import PredicateFunction, TaylorEnclosure
 from reach_server.predicates.interval_ad.linear_range import reach
 from reach_server.predicates.remainders import greatest_curvature, greatest_quadratic, middle, upper_dot
 from reach_server.sets.kernels.strip import EMPTY_MARGIN
@@ -26,23 +26,23 @@ from reach_server.sets.kernels.strip import EMPTY_MARGIN
 @dataclass(frozen=True, slots=True, eq=False)
 class Expansion:
     """h over zonotopes ``center`` (R, s), ``generators`` (R, s, g) with boxes ``lower``, ``upper`` and half-widths
-    ``half`` (R, s): its jets over the ``box`` and at the center (``point``)."""
+    ``half`` (R, s): its Taylor enclosures over the ``box`` and at the center (``point``)."""
 
     center: FloatArray
     generators: FloatArray
     half: FloatArray
     lower: FloatArray
     upper: FloatArray
-    box: Jet
-    point: Jet
+    box: TaylorEnclosure
+    point: TaylorEnclosure
 
     @staticmethod
     def of(field: PredicateFunction, center: FloatArray, generators: FloatArray, given: Bounds) -> "Expansion":
-        """The expansion of a field, from one evaluation for all boxes and centers."""
+        """The expansion of a predicate function, from one evaluation for all boxes and centers."""
         half = sum_up(np.abs(generators))
         lower, upper = add_down(center, -half), add_up(center, half)
         twice = np.concatenate([given[0], given[0]], axis=1), np.concatenate([given[1], given[1]], axis=1)
-        both = field.jet(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
+        both = field.enclosure(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
         rows = len(center)
         return Expansion(center, generators, half, lower, upper, both[:rows], both[rows:])
 
@@ -56,7 +56,7 @@ class Expansion:
         return Expansion(self.center, self.generators, self.half, self.lower, self.upper, -self.box, -self.point)
 
     def above(self) -> "Above":
-        """A linear function that is nowhere on the set less than h."""
+        """A linear upper bound of h on the set."""
         value = self.point.value[1]
         tangent, uncertain = middle(self.point.gradient)
         curvature = greatest_curvature(self.box.hessian)

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.predicates.fixed_status import fixed_status
-from reach_server.predicates.interface import Context, StateUncertainty, Status, Strips
+from reach_server.predicates.fixed_verdict import fixed_verdict
+from reach_server.predicates.interface import Context, StateUncertainty, Strips, Verdict
 from reach_server.predicates.interval_ad.linear_range import reach, spread
 from reach_server.sets.halfspace import strip_bounds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedStrips:
-    """C strips of true states, normal (C, n), lower and upper (C,), and how the states of a set are ``blur``-red.
+    """C strips of true states, normal (C, n), lower and upper (C,), and the ``uncertainty`` of the states of a set.
 
     ``cut`` are the strips of the states that a set holds, ``moved`` those of true states at the sample: outer.
     """
@@ -26,20 +26,20 @@ class FixedStrips:
     normal: FloatArray
     lower: FloatArray
     upper: FloatArray
-    blur: StateUncertainty
+    uncertainty: StateUncertainty
     cut: Strips = field(init=False)
     moved: Strips = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cut", self._widened(self.blur))
-        object.__setattr__(self, "moved", self._widened(self.blur.still()))
+        object.__setattr__(self, "cut", self._widened(self.uncertainty))
+        object.__setattr__(self, "moved", self._widened(self.uncertainty.still()))
 
-    def _widened(self, blur: StateUncertainty) -> Strips:
-        return Strips(self.normal, *spread(self.lower, self.upper, reach(self.normal, blur.generators)))
+    def _widened(self, uncertainty: StateUncertainty) -> Strips:
+        return Strips(self.normal, *spread(self.lower, self.upper, reach(self.normal, uncertainty.generators)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearCutter:
+class HalfspaceEnclosure:
     """A half-space or strip, exactly: ``region`` has one row."""
 
     region: FixedStrips
@@ -49,14 +49,14 @@ class LinearCutter:
         """True."""
         return True
 
-    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
-        """See ``Cutter``: exact, up to rounding."""
+    def verdict(self, center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
+        """See ``PredicateEnclosure``: exact, up to rounding."""
         region, moved = self.region, self.region.moved
         bounds = region.normal, region.lower, region.upper, moved.lower, moved.upper
-        return fixed_status(*map(np.ascontiguousarray, (*bounds, center, generators)))
+        return fixed_verdict(*map(np.ascontiguousarray, (*bounds, center, generators)))
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
-        """See ``Cutter``."""
+        """See ``PredicateEnclosure``."""
         return self.region.cut, missed(self.region.cut, center, generators)
 
 
@@ -66,6 +66,6 @@ def missed(strips: Strips, center: FloatArray, generators: FloatArray) -> BoolAr
     return np.asarray(found.any(axis=1))
 
 
-def status_of(holds: BoolArray, never: BoolArray) -> Status:
-    """The status from what is certain; a contradiction, which only rounding makes, is none."""
+def verdict_of(holds: BoolArray, never: BoolArray) -> Verdict:
+    """The verdict from what is certain; a contradiction, which only rounding makes, counts as ``MAY_HOLD``."""
     return np.where(holds == never, 0, np.where(holds, 1, -1)).astype(np.int8)

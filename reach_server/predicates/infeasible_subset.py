@@ -1,4 +1,4 @@
-"""Which predicates contradict each other, or the set that they are asked of."""
+"""Infeasible subsets: predicates that contradict each other or the set that they are asked of."""
 
 from collections.abc import Sequence
 

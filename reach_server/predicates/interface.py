@@ -1,4 +1,4 @@
-"""What a predicate gives and needs: strips, the context it refers to, and the states that a set speaks about."""
+"""The interface of predicates: strips, verdicts, the context, and the uncertainty of the states in a set."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 
 from reach_server.numeric.types import BoolArray, FloatArray
 
-Status = NDArray[np.int8]
+Verdict = NDArray[np.int8]
 HOLDS: Final = 1
-"""What ``status`` says of a set all of whose states certainly satisfy the predicate."""
+"""What ``verdict`` says of a set all of whose states certainly satisfy the predicate."""
 MAY_HOLD: Final = 0
-"""What ``status`` says of a set some of whose states may satisfy the predicate: nothing is known."""
+"""What ``verdict`` says of a set some of whose states may satisfy the predicate: nothing is known."""
 NEVER: Final = -1
-"""What ``status`` says of a set none of whose states satisfies the predicate, for certain."""
+"""What ``verdict`` says of a set none of whose states satisfies the predicate, for certain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """What predicates of R rows refer to besides the state.
+    """The quantities besides the state that predicates of R rows refer to.
 
     ``t`` (R,): seconds since the scenario's time zero. ``k`` (R,): samples ahead of the last received one. ``last_t``
     (R,): ``t`` of the last received sample. ``last_lower``, ``last_upper`` (R, n): a box around the true state at that
     sample. Nothing is known where a number is NaN. All times may be off by up to ``t_slack`` seconds. Rows may be the
-    rows ``place`` (R,) of a ``series``: what depends on the context alone is then computed for all of them at once.
+    rows ``index`` (R,) of a ``cache``: what depends on the context alone is then computed for all of them at once.
     """
 
     t: FloatArray
@@ -33,13 +33,13 @@ class Context:
     last_lower: FloatArray
     last_upper: FloatArray
     t_slack: float = 0.0
-    series: "ContextCache | None" = None
-    place: NDArray[np.intp] | None = None
+    cache: "ContextCache | None" = None
+    index: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextCache:
-    """A context of many rows, and what predicates have found out about it, by predicate."""
+    """A context of many rows, and results computed for it, by predicate."""
 
     context: Context
     found: dict[Any, Any] = field(default_factory=dict)
@@ -79,13 +79,13 @@ class StateUncertainty:
 
 
 class PredicateEnclosure(Protocol):
-    """A predicate over the states of a class, ready to be asked."""
+    """A predicate over the states of a class, enclosed over sets."""
 
     @property
     def fixed(self) -> bool:
         """Whether the strips depend neither on the set nor on the context."""
 
-    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
+    def verdict(self, center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
         """``HOLDS``, ``MAY_HOLD`` or ``NEVER`` (R,) for true states in zonotopes (R, n), (R, n, g)."""
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:

@@ -1,4 +1,4 @@
-"""The predicates that a vehicle class is asked about, compiled once."""
+"""The predicates of a vehicle class, compiled once."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ import numpy as np
 
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray
-from reach_server.predicates.affine import AffineCutter, affine_in_states
-from reach_server.predicates.convex_region import BoundedCutter, disc_expression, disc_strips, ellipsoid_strips
-from reach_server.predicates.halfspace import FixedStrips, LinearCutter
-from reach_server.predicates.interface import Context, PredicateEnclosure, StateUncertainty, Status, Strips
+from reach_server.predicates.affine import AffineEnclosure, affine_in_states
+from reach_server.predicates.convex_region import ConvexRegionEnclosure, disc_expression, disc_strips, ellipsoid_strips
+from reach_server.predicates.halfspace import FixedStrips, HalfspaceEnclosure
+from reach_server.predicates.interface import Context, PredicateEnclosure, StateUncertainty, Strips, Verdict
 from reach_server.predicates.interval_ad.enclosure import PredicateFunction
-from reach_server.predicates.nonlinear import NonlinearCutter
+from reach_server.predicates.nonlinear import NonlinearEnclosure
 from side_info.stl.expression import Last, Steps, nodes_of
 from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
@@ -21,7 +21,7 @@ from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPr
 class _Entry:
     scenario: str
     name: str
-    cutter: PredicateEnclosure
+    enclosure: PredicateEnclosure
     looks_back: bool
 
 
@@ -59,23 +59,24 @@ class Literals:
     ) -> int:
         """The number of a literal: ``predicate`` holds at some time up to ``margin_ns`` from the sample.
 
-        ``index`` gives the place of each of the scenario's states, ``speed`` (n,) bounds how fast states move, per
-        second, in the units of the profile; ``k`` and the last received state are those of the sample. The same literal
-        again has the same number. Raises ``ScenarioError`` for a predicate that cannot be compiled.
+        ``index`` gives the position of each of the scenario's states in the state vector, ``speed`` (n,) bounds how
+        fast states move, per second, in the units of the profile; ``k`` and the last received state are those of the
+        sample. The same literal again has the same number. Raises ``ScenarioError`` for a predicate that cannot be
+        compiled.
         """
         margin = margin_ns * 1e-9 * (1 + 4 * EPS)
         motion = np.broadcast_to(np.asarray(speed, dtype=np.float64), (self._n,)) * margin
         key = (scenario, name, margin_ns, motion.tobytes(), _content(predicate), tuple(sorted(index.items())))
         if key not in self._known:
             noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
-            cutter = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
+            enclosure = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
             self._known[key] = len(self._entries)
-            self._entries.append(_Entry(scenario, name, cutter, _looks_back(predicate)))
+            self._entries.append(_Entry(scenario, name, enclosure, _looks_back(predicate)))
         return self._known[key]
 
     @property
     def looks_back(self) -> BoolArray:
-        """Which literals (L,) speak about the way from the last received sample."""
+        """Which literals (L,) refer to the path since the last received sample."""
         return np.array([entry.looks_back for entry in self._entries], dtype=bool)
 
     @property
@@ -93,7 +94,7 @@ class Literals:
 
     def fixed(self, literal: int) -> bool:
         """Whether its strips depend neither on the set nor on the context."""
-        return self._noise is None or self._entries[literal].cutter.fixed
+        return self._noise is None or self._entries[literal].enclosure.fixed
 
     def fixed_strips(self, literal: int) -> Strips:
         """The strips (C,) of a literal for which they depend neither on the set nor on the context: outer."""
@@ -105,15 +106,15 @@ class Literals:
             self._fixed_strips[literal] = found
         return found
 
-    def status(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Status:
-        """What the literals ``ids`` (L,) come to on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
+    def verdict(self, ids: Sequence[int], center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
+        """Verdicts of the literals ``ids`` (L,) on sets of *true* states, ``center`` (R, n), ``generators`` (R, n, g):
         (R, L).
 
         ``HOLDS`` of all states of the set, ``NEVER`` of one, both certain; ``MAY_HOLD``: not known.
         """
         found = np.zeros((len(center), len(ids)), dtype=np.int8)
         for column, literal in enumerate(ids if len(center) else ()):
-            found[:, column] = self._entries[literal].cutter.status(center, generators, context)
+            found[:, column] = self._entries[literal].enclosure.verdict(center, generators, context)
         return found
 
     def strips(
@@ -127,24 +128,26 @@ class Literals:
         if self._noise is None:
             nothing = np.zeros(0)
             return Strips(np.zeros((0, self._n)), nothing, nothing), np.zeros(len(center), dtype=bool)
-        return self._entries[literal].cutter.strips(center, generators, context)
+        return self._entries[literal].enclosure.strips(center, generators, context)
 
-    def _compiled(self, predicate: Predicate, index: Mapping[str, int], blur: StateUncertainty) -> PredicateEnclosure:
+    def _compiled(
+        self, predicate: Predicate, index: Mapping[str, int], uncertainty: StateUncertainty
+    ) -> PredicateEnclosure:
         if isinstance(predicate, LinearPredicate):
             normal = np.zeros((1, self._n))
             for state, coefficient in predicate.coefficients.items():
                 normal[0, index[state]] += coefficient
             bounds = np.array([predicate.lower]), np.array([predicate.upper])
-            return LinearCutter(FixedStrips(normal, *bounds, blur))
+            return HalfspaceEnclosure(FixedStrips(normal, *bounds, uncertainty))
         if isinstance(predicate, DiscPredicate):
-            cutter = NonlinearCutter(PredicateFunction(disc_expression(predicate), index), self._n, blur)
-            return BoundedCutter(disc_strips(predicate, index, self._n, blur), cutter)
+            enclosure = NonlinearEnclosure(PredicateFunction(disc_expression(predicate), index), self._n, uncertainty)
+            return ConvexRegionEnclosure(disc_strips(predicate, index, self._n, uncertainty), enclosure)
         field = PredicateFunction(predicate.expression, index)
-        if affine_in_states(predicate.expression) and field.everywhere and field.places:
-            return AffineCutter(field, self._n, blur)
-        cutter = NonlinearCutter(field, self._n, blur)
-        region = ellipsoid_strips(cutter.field, self._n, blur)
-        return cutter if region is None else BoundedCutter(region, cutter)
+        if affine_in_states(predicate.expression) and field.everywhere and field.coordinates:
+            return AffineEnclosure(field, self._n, uncertainty)
+        enclosure = NonlinearEnclosure(field, self._n, uncertainty)
+        region = ellipsoid_strips(enclosure.field, self._n, uncertainty)
+        return enclosure if region is None else ConvexRegionEnclosure(region, enclosure)
 
 
 def _looks_back(predicate: Predicate) -> bool:
@@ -154,7 +157,7 @@ def _looks_back(predicate: Predicate) -> bool:
 
 
 def _content(predicate: Predicate) -> tuple[object, ...]:
-    """What a predicate says, as a value that can be looked up."""
+    """A hashable value that says what a predicate says."""
     match predicate:
         case LinearPredicate(_, coefficients, lower, upper):
             return tuple(coefficients.items()), lower, upper

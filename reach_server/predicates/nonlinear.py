@@ -15,8 +15,8 @@ from reach_server.numeric.rounding import add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.concave import border, directions, tangents
 from reach_server.predicates.expansion import Above, Expansion
-from reach_server.predicates.halfspace import status_of
-from reach_server.predicates.interface import Context, StateUncertainty, Status, Strips
+from reach_server.predicates.halfspace import verdict_of
+from reach_server.predicates.interface import Context, StateUncertainty, Strips, Verdict
 from reach_server.predicates.interval_ad.arithmetic import Bounds
 from reach_server.predicates.interval_ad.enclosure import PredicateFunction
 from reach_server.predicates.interval_ad.linear_range import dot, product, reach
@@ -27,51 +27,51 @@ NEARLY_CONCAVE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NonlinearCutter:
-    """The predicate that a ``field`` is not negative, over the first n states of a class."""
+class NonlinearEnclosure:
+    """The predicate ``field >= 0`` over the first n states of a class."""
 
     field: PredicateFunction
     n: int
-    blur: StateUncertainty
+    uncertainty: StateUncertainty
 
     @property
     def fixed(self) -> bool:
         """False."""
         return False
 
-    def status(self, center: FloatArray, generators: FloatArray, context: Context) -> Status:
-        """See ``Cutter``: by bounds of h over the set."""
+    def verdict(self, center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
+        """See ``PredicateEnclosure``: by bounds of h over the set."""
         with np.errstate(all="ignore"):
-            moved, _ = self._expanded(center, generators, context, self.blur.still())
-            same = not self.blur.motion.any() and not self.field.timed
+            moved, _ = self._expanded(center, generators, context, self.uncertainty.still())
+            same = not self.uncertainty.motion.any() and not self.field.timed
             still = moved if same else self._expanded(center, generators, context, None)[0]
-            return status_of((-still).above().greatest <= 0, moved.above().negative)
+            return verdict_of((-still).above().greatest <= 0, moved.above().negative)
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
-        """See ``Cutter``: normal (R, C, n), half-spaces from below."""
+        """See ``PredicateEnclosure``: normal (R, C, n), half-spaces from below."""
         with np.errstate(all="ignore"):
-            expansion, given = self._expanded(center, generators, context, self.blur)
+            expansion, given = self._expanded(center, generators, context, self.uncertainty)
             above = expansion.above()
             normal, bound = self._half_spaces(expansion, above, given)
             empty = self._empty(expansion, above, given, normal, bound)
-            places = list(self.field.places)
-            lower = add_down(bound, -reach(normal, self.blur.generators[places]))
+            coordinates = list(self.field.coordinates)
+            lower = add_down(bound, -reach(normal, self.uncertainty.generators[coordinates]))
         wide = np.zeros((*bound.shape, self.n))
-        wide[..., places] = normal
+        wide[..., coordinates] = normal
         return Strips(wide, lower, np.full_like(lower, np.inf)), empty
 
     def _expanded(
-        self, center: FloatArray, generators: FloatArray, context: Context, blur: StateUncertainty | None
+        self, center: FloatArray, generators: FloatArray, context: Context, uncertainty: StateUncertainty | None
     ) -> tuple[Expansion, Bounds]:
         """The expansion over the true states of sets, as far as they may have moved; None: states as they are."""
-        places = list(self.field.places)
+        coordinates = list(self.field.coordinates)
         rows = len(center)
-        columns = generators[:, places]
-        if blur is not None:
-            more = blur.generators[places]
+        columns = generators[:, coordinates]
+        if uncertainty is not None:
+            more = uncertainty.generators[coordinates]
             columns = np.concatenate([columns, np.broadcast_to(more, (rows, *more.shape))], axis=2)
-        given = self.field.given(context, rows, None if blur is None else blur.margin)
-        return Expansion.of(self.field, center[:, places], columns, given), given
+        given = self.field.given(context, rows, None if uncertainty is None else uncertainty.margin)
+        return Expansion.of(self.field, center[:, coordinates], columns, given), given
 
     def _half_spaces(self, expansion: Expansion, above: Above, given: Bounds) -> tuple[FloatArray, FloatArray]:
         """``normal·x >= bound`` (R, C, s), (R, C) for true states."""
@@ -112,11 +112,11 @@ class NonlinearCutter:
         doubtful = ~empty & (expansion.point.value[1] < 0)
         if not doubtful.any() or not normal.shape[1]:
             return empty
-        lower, upper, gone = contracted(
+        lower, upper, removed = contracted(
             expansion.lower[doubtful], expansion.upper[doubtful], normal[doubtful], bound[doubtful]
         )
-        left = self.field.values(lower, upper, (given[0][:, doubtful], given[1][:, doubtful]))[1]
-        empty[doubtful] = gone | (left < -EMPTY_MARGIN * above.size[doubtful])
+        remaining = self.field.values(lower, upper, (given[0][:, doubtful], given[1][:, doubtful]))[1]
+        empty[doubtful] = removed | (remaining < -EMPTY_MARGIN * above.size[doubtful])
         return empty
 
 
@@ -127,7 +127,7 @@ def contracted(
     is left of them, by more than the rounding of the comparison."""
     low, high = lower.copy(), upper.copy()
     margin = EMPTY_MARGIN * (np.abs(lower) + np.abs(upper))
-    gone = np.zeros(len(lower), dtype=bool)
+    removed = np.zeros(len(lower), dtype=bool)
     for c in range(bound.shape[1]):
         a = normal[:, c]
         most = np.maximum(product(a, low)[1], product(a, high)[1])
@@ -141,9 +141,9 @@ def contracted(
                 before, beyond = np.nextafter(end, -np.inf), np.nextafter(end, np.inf)
             low_i = np.where((a[:, i] > 0) & np.isfinite(end), np.maximum(low[:, i], before), low[:, i])
             high_i = np.where((a[:, i] < 0) & np.isfinite(end), np.minimum(high[:, i], beyond), high[:, i])
-            gone |= low_i > high_i + margin[:, i]
+            removed |= low_i > high_i + margin[:, i]
             crossed = low_i > high_i
             low[:, i] = np.where(crossed, low[:, i], low_i)
             high[:, i] = np.where(crossed, high[:, i], high_i)
             most[:, i] = np.maximum(product(a[:, i], low[:, i])[1], product(a[:, i], high[:, i])[1])
-    return low, high, gone
+    return low, high, removed

@@ -1,4 +1,4 @@
-"""What a second derivative can add to a linear bound: ``½ dᵀH d`` over a zonotope and all H between bounds.
+"""Upper bounds of the second-order remainder of a linear bound: ``½ dᵀH d`` over a zonotope and all H between bounds.
 
 With ``H = M + E``, ``|E| <= R`` entry by entry, and ``d = Gξ``, ``|ξ| <= 1`` (the quadratic map of a zonotope [Alt10]):
 
@@ -46,8 +46,8 @@ def greatest_quadratic(hessian: Bounds, generators: FloatArray, curvature: Float
         half = sum_up(np.abs(generators))
         by_curvature = product(0.5 * curvature[bent], upper_dot(half, half))[1]
         largest = magnitude((low, high))[1]
-        places = np.arange(largest.shape[1])
-        largest[:, places, places] = np.maximum(high[:, places, places], 0.0)
+        diagonal = np.arange(largest.shape[1])
+        largest[:, diagonal, diagonal] = np.maximum(high[:, diagonal, diagonal], 0.0)
         least = np.minimum(np.minimum(_mapped((low, high), generators), _half_form(largest, half)), by_curvature)
         # Where numbers overflowed nothing is known; d = 0 is always among the d.
         greatest[bent] = np.where(np.isnan(least), np.inf, np.maximum(least, 0.0))
@@ -76,9 +76,9 @@ def greatest_curvature(hessian: Bounds) -> FloatArray:
     if not size:
         return np.zeros(len(hessian[0]))
     largest = magnitude(hessian)[1]
-    places = np.arange(size)
-    largest[:, places, places] = 0.0
-    found = add_up(hessian[1][:, places, places], sum_up(largest)).max(axis=1)
+    diagonal = np.arange(size)
+    largest[:, diagonal, diagonal] = 0.0
+    found = add_up(hessian[1][:, diagonal, diagonal], sum_up(largest)).max(axis=1)
     mid, radius = middle(hessian)
     curved = (found > 0) | ((found == 0) & largest.any(axis=(1, 2)))
     doubtful = curved & np.isfinite(radius).all(axis=(1, 2)) & np.isfinite(mid).all(axis=(1, 2))

@@ -37,7 +37,7 @@ SETTLED: Final = (
     ("leaped", "leap", "an epoch, a number or a stamp leaps: wrong, or another source"),
     ("not_finite", "not_finite", "a state that is no number"),
     ("no_input", "input_not_finite", "an input that is no number is taken as not recorded"),
-    ("stale", "stale_pose", "the pose repeats although the vehicle moves: no transition is taken from it"),
+    ("frozen_pose", "stale_pose", "the pose repeats although the vehicle moves: no transition is taken from it"),
     ("resynced", "resynced", "samples that were refused agree with each other: a new trajectory begins"),
 )
 #: Samples after which the sample interval is held against the profile.

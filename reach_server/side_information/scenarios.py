@@ -232,7 +232,7 @@ class Assignments:
         half = np.abs(self._received).sum(axis=1)
         context = self.context(course, InitialConditions(slots, t, x - half, x + half), np.zeros(len(t), dtype=np.intp))
         generators = np.broadcast_to(self._received, (len(t), *self._received.shape))
-        status = self.literals.status(literals.tolist(), x, generators, context)
+        status = self.literals.verdict(literals.tolist(), x, generators, context)
         # Of a received sample itself the way from the last one is not known.
         status[:, self.literals.looks_back[literals]] = 0
         return status
@@ -317,7 +317,7 @@ class Assignments:
             false = np.zeros((len(rows), len(literals)), dtype=bool)
             if len(literals) and self._received is not None:
                 context = self.context(course, take_rows(instants, rows), np.full(len(rows), k))
-                false = self.literals.status(literals.tolist(), center[rows], generators[rows], context) < 0
+                false = self.literals.verdict(literals.tolist(), center[rows], generators[rows], context) < 0
             beliefs = course.go_on(beliefs, literals, false)
             ahead.append(beliefs)
         found: list[list[int]] = np.stack(ahead, axis=1).tolist()
@@ -337,11 +337,11 @@ class Assignments:
             events += self._contradict(course, slot, vehicle, t, own, ahead)
         return events
 
-    def of_others(self, acted: NDArray[np.bool_], blamed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Literals (L,) among those that ``acted`` of scenarios that none of the ``blamed`` ones belongs to."""
-        owners = {self.literals.scenario(i) for i in np.flatnonzero(blamed).tolist()}
-        others = [self.literals.scenario(i) not in owners for i in range(len(acted))]
-        return np.asarray(acted & np.array(others, dtype=bool))
+    def of_others(self, active: NDArray[np.bool_], responsible: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Literals (L,) among those that ``active`` of scenarios that none of the ``responsible`` ones belongs to."""
+        owners = {self.literals.scenario(i) for i in np.flatnonzero(responsible).tolist()}
+        others = [self.literals.scenario(i) not in owners for i in range(len(active))]
+        return np.asarray(active & np.array(others, dtype=bool))
 
     def _contradict(
         self, course: ScenarioTracker, slot: int, vehicle: str, t: int, literals: Sequence[int], ahead: int = 0
@@ -358,20 +358,20 @@ class Assignments:
         details = {"scenario": name, "predicate": predicates, "elapsed": elapsed}
         return [EngineEvent(EventKind.CONTRADICTION, vehicle, t, message, details)]
 
-    def describe(self, acted: NDArray[np.bool_]) -> tuple[tuple[Cut, ...], ...]:
+    def describe(self, active: NDArray[np.bool_]) -> tuple[tuple[Cut, ...], ...]:
         """For each vehicle the predicates that acted, from (B, N, L) over steps 1 to N."""
-        owners = [(self.literals.scenario(i), self.literals.name(i)) for i in range(acted.shape[2])]
+        owners = [(self.literals.scenario(i), self.literals.name(i)) for i in range(active.shape[2])]
         predicates = list(dict.fromkeys(owners))
         if len(predicates) < len(owners):
             # The same predicate at several margins.
-            merged = np.zeros((*acted.shape[:2], len(predicates)), dtype=bool)
+            merged = np.zeros((*active.shape[:2], len(predicates)), dtype=bool)
             for literal, owner in enumerate(owners):
-                merged[..., predicates.index(owner)] |= acted[..., literal]
-            acted = merged
-        steps = acted.shape[1]
-        first, last = acted.argmax(axis=1) + 1, steps - acted[:, ::-1].argmax(axis=1)
+                merged[..., predicates.index(owner)] |= active[..., literal]
+            active = merged
+        steps = active.shape[1]
+        first, last = active.argmax(axis=1) + 1, steps - active[:, ::-1].argmax(axis=1)
         # Most vehicles of a fleet are cut in one of a few ways.
-        ways, which = distinct(np.where(acted.any(axis=1), first * (steps + 1) + last, 0))
+        ways, which = distinct(np.where(active.any(axis=1), first * (steps + 1) + last, 0))
         described = [
             tuple(
                 Cut(*predicate, *divmod(span, steps + 1))

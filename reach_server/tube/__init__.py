@@ -1,1 +1,1 @@
-"""Sets over the horizon, with and without branches."""
+"""Propagation of sets over the horizon, with and without branches."""

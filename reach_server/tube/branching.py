@@ -38,7 +38,7 @@ Rows = NDArray[np.intp]
 
 
 class Motion(Protocol):
-    """How sets move on from step to step."""
+    """A model that moves sets from step to step."""
 
     @property
     def horizon(self) -> int:
@@ -72,8 +72,8 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideInformation:
-    """What obligations and literals mean: ``contexts(k)`` says what predicates refer to at step k, by literal and
-    tracks (K,)."""
+    """The table of obligations, the literals and how they cut; ``contexts(k)`` gives the contexts of predicates at step
+    k, by literal and tracks (K,)."""
 
     table: Table
     literals: Literals
@@ -97,21 +97,21 @@ class Branches:
 class Tube:
     """Branches at steps 0 (now) to N, over the n states; of a track that has ended there are none any more.
 
-    ``acted`` (T, N + 1, L): the literals that cut a branch of the track at a step. ``ended`` (T,): step at which the
-    last branch of a track was certainly empty, -1 where some are left; ``blamed`` (T, L): the literals that left
+    ``active`` (T, N + 1, L): the literals that cut a branch of the track at a step. ``ended`` (T,): step at which the
+    last branch of a track was certainly empty, -1 where some are left; ``responsible`` (T, L): the literals that left
     nothing there. ``contradicted`` (T,): data excludes the stated bounds.
     """
 
     steps: list[Branches]
-    acted: NDArray[np.bool_]
+    active: NDArray[np.bool_]
     ended: NDArray[np.int64]
-    blamed: NDArray[np.bool_]
+    responsible: NDArray[np.bool_]
     contradicted: NDArray[np.bool_]
 
 
-def propagate(tracks: Hypotheses, motion: Motion, knowledge: SideInformation, n: int) -> Tube:
+def propagate(tracks: Hypotheses, motion: Motion, side: SideInformation, n: int) -> Tube:
     """The tubes of some tracks over N steps; every set is an outer bound while bounds and side information hold."""
-    literals = knowledge.literals.count
+    literals = side.literals.count
     tube = Tube(
         [],
         np.zeros((tracks.count, motion.horizon + 1, literals), dtype=bool),
@@ -127,8 +127,8 @@ def propagate(tracks: Hypotheses, motion: Motion, knowledge: SideInformation, n:
             sets, wrong = motion.advance(branches.sets, k - 1, vehicle)
             tube.contradicted[branches.track] |= wrong
             branches = Branches(branches.track, branches.obligation, sets, branches.within)
-        branches = _narrowed(branches, k, knowledge, tracks.tested if k == 0 else None, n, tube)
-        branches = _fewer(branches, knowledge, tracks.free, n)
+        branches = _narrowed(branches, k, side, tracks.tested if k == 0 else None, n, tube)
+        branches = _fewer(branches, side, tracks.free, n)
         tube.steps.append(Branches(branches.track, branches.obligation, _states(branches.sets, n), branches.within))
     return tube
 
@@ -140,49 +140,49 @@ def _states(sets: RawSets, n: int) -> RawSets:
 def _narrowed(
     branches: Branches,
     k: int,
-    knowledge: SideInformation,
+    side: SideInformation,
     tested: NDArray[np.bool_] | None,
     n: int,
     tube: Tube,
 ) -> Branches:
-    """The branches after the alternatives of step ``k``; notes in ``tube`` what cut them, and where none is left."""
-    table = knowledge.table
+    """The branches after the alternatives of step ``k``; records in ``tube`` what cut them, and where none is left."""
+    table = side.table
     expansion = table.expand(branches.obligation)
     parent = expansion.parent
     track = branches.track[parent]
-    asked = table.masks(expansion.literal_set, knowledge.literals.count)
+    asked = table.masks(expansion.literal_set, side.literals.count)
     # A received sample has come no way yet.
-    cutting = asked if tested is None else asked & tested[track][:, None] & ~knowledge.literals.looks_back
+    cutting = asked if tested is None else asked & tested[track][:, None] & ~side.literals.looks_back
     cut = cut_sets(
-        take_rows(branches.sets, parent), cutting, knowledge.literals, knowledge.contexts(k, track),
-        knowledge.cuts, n, knowledge.plane,
+        take_rows(branches.sets, parent), cutting, side.literals, side.contexts(k, track),
+        side.cuts, n, side.plane,
     )  # fmt: skip
     alive = np.logical_not(cut.empty.any(axis=1))
-    gone = np.setdiff1d(branches.track, track[alive])
-    tube.ended[gone] = k
-    of = knowledge.contexts(k, track)
-    for row in np.flatnonzero(np.isin(track, gone)).tolist():
-        tube.blamed[track[row]] |= cut.empty[row]
+    removed = np.setdiff1d(branches.track, track[alive])
+    tube.ended[removed] = k
+    of = side.contexts(k, track)
+    for row in np.flatnonzero(np.isin(track, removed)).tolist():
+        tube.responsible[track[row]] |= cut.empty[row]
         asked_here = np.flatnonzero(cutting[row]).tolist()
         one = take_rows(branches.sets, parent[[row]])
-        tube.blamed[track[row], conflicting(one, row, asked_here, knowledge.literals, of, n)] = True
+        tube.responsible[track[row], conflicting(one, row, asked_here, side.literals, of, n)] = True
     pairs = table.subsumption(expansion)
-    kept = np.flatnonzero(alive & ~_covered(pairs, asked, cut.acted, alive))
-    found = Branches(track[kept], expansion.next[kept], take_rows(cut.sets, kept), cut.acted[kept])
-    np.logical_or.at(tube.acted[:, k], found.track, found.within)
+    retained = np.flatnonzero(alive & ~_covered(pairs, asked, cut.active, alive))
+    found = Branches(track[retained], expansion.next[retained], take_rows(cut.sets, retained), cut.active[retained])
+    np.logical_or.at(tube.active[:, k], found.track, found.within)
     return found
 
 
 def _covered(
-    pairs: tuple[Rows, Rows], asked: NDArray[np.bool_], acted: NDArray[np.bool_], alive: NDArray[np.bool_]
+    pairs: tuple[Rows, Rows], asked: NDArray[np.bool_], active: NDArray[np.bool_], alive: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Which rows (R,) need not be followed: another row that stays covers their trajectories.
 
     ``pairs`` (i, j): the obligation after i entails that after j, both of one parent. Row j covers i if every literal
-    that acted on j was asked of i, too.
+    that cut j was asked of i, too.
     """
     i, j = pairs
-    covers = alive[i] & alive[j] & ~(acted[j] & ~asked[i]).any(axis=1)
+    covers = alive[i] & alive[j] & ~(active[j] & ~asked[i]).any(axis=1)
     i, j = i[covers], j[covers]
     covered = np.zeros(len(alive), dtype=bool)
     covered[i] = True
@@ -192,14 +192,14 @@ def _covered(
     return covered & safe
 
 
-def _fewer(branches: Branches, knowledge: SideInformation, free: Rows | None, n: int) -> Branches:
+def _fewer(branches: Branches, side: SideInformation, free: Rows | None, n: int) -> Branches:
     """At most ``MOST_BRANCHES`` branches a track, and none of equal obligation: what becomes one gets a set around all
     of them, or the set without side information where that is smaller."""
     track, obligation = branches.track, branches.obligation.copy()
     counts = np.bincount(track) if len(track) else np.zeros(0, dtype=np.intp)
     for crowded in np.flatnonzero(counts > MOST_BRANCHES).tolist():
         rows = np.flatnonzero(track == crowded)
-        weaker = knowledge.table.cap(sorted(set(obligation[rows].tolist())), MOST_BRANCHES)
+        weaker = side.table.cap(sorted(set(obligation[rows].tolist())), MOST_BRANCHES)
         obligation[rows] = [weaker[o] for o in obligation[rows].tolist()]
     if len(track) == np.count_nonzero(counts):
         return Branches(track, obligation, branches.sets, branches.within)
@@ -218,13 +218,13 @@ def _fewer(branches: Branches, knowledge: SideInformation, free: Rows | None, n:
     merged = np.flatnonzero(sizes > 1)
     if free is not None and len(merged):
         whole = take_rows(branches.sets, np.searchsorted(track, free[unique[merged, 0]]))
-        larger = _log_size(take_rows(sets, merged), n, knowledge) > _log_size(whole, n, knowledge)
+        larger = _log_size(take_rows(sets, merged), n, side) > _log_size(whole, n, side)
         sets = replace_rows(sets, merged[larger], take_rows(whole, larger))
     return Branches(unique[:, 0].astype(np.intp), unique[:, 1].astype(np.int64), sets, within)
 
 
-def _log_size(sets: RawSets, n: int, knowledge: SideInformation) -> FloatArray:
-    return strips.log_size(sets.generators[:, :n], knowledge.plane)
+def _log_size(sets: RawSets, n: int, side: SideInformation) -> FloatArray:
+    return strips.log_size(sets.generators[:, :n], side.plane)
 
 
 def _around(one: RawSets, other: RawSets) -> RawSets:

@@ -1,4 +1,4 @@
-"""The sets of vehicles whose scenarios may branch, or ask for predicates that depend on the set: step by step."""
+"""Reachable sets of vehicles whose scenarios may branch or ask for predicates that depend on the set, step by step."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ def branching(
     start: RawSets,
     rows: NDArray[np.intp],
     asked: tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.bool_]],
-    instants: InitialConditions,
+    initial: InitialConditions,
     side: Assignments,
     profile: VehicleProfile,
 ) -> ReachSets:
@@ -38,15 +38,15 @@ def branching(
     everything = np.concatenate([np.full(count, TRUE, dtype=np.int64), obligation])
     own = np.concatenate([np.arange(count), with_side])
     tracks = Hypotheses(vehicle, take_rows(start, vehicle), track, everything, tested[vehicle], own)
-    contexts = side.contexts(instants)
+    contexts = side.contexts(initial)
     knowledge = SideInformation(
         side.table, side.literals, lambda k, which: contexts(k, vehicle[which]), profile.cuts, side.plane
     )
     tube = propagate(tracks, motion, knowledge, n)
     whole = tube.ended[count:] < 0
     cut, improved = count + np.flatnonzero(whole), with_side[whole]
-    acted = np.flatnonzero(tube.acted.any(axis=(0, 1))).tolist()
-    strips = PlaneStrips.of(side.literals, acted, n, profile.position)
+    active = np.flatnonzero(tube.active.any(axis=(0, 1))).tolist()
+    strips = PlaneStrips.of(side.literals, active, n, profile.position)
     free = [of_tracks(step, np.arange(count), strips, profile.position) for step in tube.steps[1:]]
     # The paper's cuts are shown as they are, larger or not.
     always = CUT_KINDS[profile.cuts].keeps_larger_result
@@ -65,7 +65,7 @@ def branching(
         steps, tuple(sets for sets, _ in free),
         np.stack([f.area for _, f in found], axis=1), np.stack([f.area for _, f in free], axis=1),
         np.stack([f.heights for _, f in found], axis=1), np.stack([f.hull for _, f in found], axis=1),
-        tube.acted[chosen, 1:], _bounded(steps), emptied, tube.contradicted[:count], _blamed(tube, own, side),
+        tube.active[chosen, 1:], _bounded(steps), emptied, tube.contradicted[:count], _responsible(tube, own, side),
     )  # fmt: skip
 
 
@@ -75,12 +75,13 @@ def _bounded(steps: tuple[RawSets, ...]) -> NDArray[np.bool_]:
     return np.asarray(np.all(finite, axis=0))
 
 
-def _blamed(tube: Tube, own: NDArray[np.intp], side: Assignments) -> dict[int, tuple[int, list[int]]]:
-    """By vehicle, ``own`` (T,) of the tracks: the step at which the last branch was empty, and what took part."""
-    blamed = {}
+def _responsible(tube: Tube, own: NDArray[np.intp], side: Assignments) -> dict[int, tuple[int, list[int]]]:
+    """By vehicle, ``own`` (T,) of the tracks: the step at which the last branch was empty, and the literals that took
+    part."""
+    responsible = {}
     for track in np.flatnonzero(tube.ended >= 0).tolist():
         # What cut before may be as wrong as what left nothing: all scenarios that took part are named.
-        before = tube.acted[track].any(axis=0)
-        literals = np.flatnonzero(tube.blamed[track] | side.of_others(before, tube.blamed[track])).tolist()
-        blamed[int(own[track])] = int(tube.ended[track]), literals
-    return blamed
+        before = tube.active[track].any(axis=0)
+        literals = np.flatnonzero(tube.responsible[track] | side.of_others(before, tube.responsible[track])).tolist()
+        responsible[int(own[track])] = int(tube.ended[track]), literals
+    return responsible

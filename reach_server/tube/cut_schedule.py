@@ -1,13 +1,13 @@
-"""Which cuts a tube gets at each step, where that is one list: what needs no branches.
+"""Cut schedules: the strips that cut each step of a tube without branches.
 
-At each step an obligation has alternatives, each with the literals that it asks for now. A tube is *straight* where one
-alternative is left at every step and its literals have fixed strips. An alternative is left out
+At each step an obligation has alternatives, each with the literals that it asks for now. A tube is *unbranched* where
+one alternative remains at every step and its literals have fixed strips. An alternative is ruled out
 
 * if one of its strips certainly misses the set without cuts, which holds all states that can be reached then;
 * if another one covers it: the obligation after it entails that after the other, and each strip of the other that is
   not asked of it holds on the whole set without cuts. Then its trajectories satisfy all that is asked of the other.
 
-All that is looked up is found out once per obligation.
+The alternatives of an obligation are looked up once.
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from side_info.progression import TRUE, Table
 
 Rows = NDArray[np.intp]
 
-#: Alternatives of an obligation beyond which its tubes are not looked at.
+#: An obligation with more alternatives than this is left to branching tubes.
 MOST_ALTERNATIVES = 8
 _UNKNOWN, _UNUSABLE = -1, -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StraightStrips:
+class ScheduledStrips:
     """C strips ``lower <= normal·x <= upper``, the same for every set: normal (C, n), lower and upper (C,), the literal
     (C,) that each belongs to; ``planar`` (C,) those of the position alone, and their normals ``flat`` (C, 2) there."""
 
@@ -44,29 +44,29 @@ class StraightStrips:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutSchedule:
-    """Which of the ``strips`` are asked of B vehicles at steps 0 to N: ``active`` (B, N + 1, C), False where a vehicle
-    is not ``straight`` (B,), whose tube needs branches."""
+    """Which of the ``strips`` are asked of B vehicles at steps 0 to N: ``asked`` (B, N + 1, C). ``unbranched`` (B,):
+    for which vehicles the schedule holds; the others need branches, and nothing is asked of them here."""
 
-    straight: BoolArray
-    active: BoolArray
-    strips: StraightStrips
+    unbranched: BoolArray
+    asked: BoolArray
+    strips: ScheduledStrips
 
     @staticmethod
     def nothing(count: int, steps: int, n: int) -> "CutSchedule":
-        """Nothing is asked of ``count`` vehicles with n states."""
+        """The schedule of ``count`` vehicles with n states of which nothing is asked."""
         active = np.zeros((count, steps + 1, 0), dtype=bool)
         return CutSchedule(np.ones(count, dtype=bool), active, _no_strips(n))
 
     def rows(self, rows: Rows) -> "CutSchedule":
-        """That of some vehicles."""
-        return CutSchedule(self.straight[rows], self.active[rows], self.strips)
+        """The schedule of some vehicles."""
+        return CutSchedule(self.unbranched[rows], self.asked[rows], self.strips)
 
 
 class CutScheduler:
-    """Plans for the obligations of a table.
+    """Cut schedules for the obligations of a table.
 
     Args:
-        table: where the obligations are; another one needs other plans.
+        table: where the obligations are; another table needs another scheduler.
         literals: those that the table speaks about.
         n: states of the class.
         plane: the position states; None where there are none.
@@ -77,7 +77,7 @@ class CutScheduler:
         self._literals = literals
         self._n = n
         self._plane = plane
-        #: By obligation: place of its first alternative and their number.
+        #: By obligation: start of its first alternative and their number.
         self._first: IntArray = np.full(64, _UNKNOWN, dtype=np.int64)
         self._count: IntArray = np.zeros(64, dtype=np.int64)
         #: By alternative: strips asked for, next obligation, and which ones of its node entail what comes after it.
@@ -96,7 +96,7 @@ class CutScheduler:
         center: FloatArray | None,
         generators: FloatArray | None,
     ) -> CutSchedule:
-        """The plan of B vehicles over ``steps`` N after now.
+        """The schedule of B vehicles over ``steps`` N after now.
 
         ``row`` (R,), ascending, and ``obligation`` (R,): what is asked of which vehicle; more than one of a vehicle
         needs branches, none asks for nothing. ``tested`` (B,): whether the sets of now may be cut. center (B, N + 1, n)
@@ -113,20 +113,20 @@ class CutScheduler:
         sets = stacked(center, 2, (len(center),), len(center)), stacked(generators, 3, (len(center),), len(center))
         while True:
             strips = self._strips
-            straight, active, used, unknown = _walk(
+            unbranched, active, used, unknown = _walk(
                 asked, single, tested, steps, known, *sets, self._first, self._count, self._asked, self._next,
                 self._weaker, strips.normal, strips.lower, strips.upper,
             )  # fmt: skip
             if not len(unknown):
                 break
-            self._see(np.unique(unknown))
+            self._look_up(np.unique(unknown))
         if not used.all():
-            kept = np.flatnonzero(used)
-            active, strips = np.ascontiguousarray(active[:, :, kept]), _some(strips, kept)
-        return CutSchedule(straight, active, strips)
+            retained = np.flatnonzero(used)
+            active, strips = np.ascontiguousarray(active[:, :, retained]), _some(strips, retained)
+        return CutSchedule(unbranched, active, strips)
 
-    def _see(self, obligations: IntArray) -> None:
-        """Find out what obligations ask for."""
+    def _look_up(self, obligations: IntArray) -> None:
+        """Look up what some obligations ask for."""
         expansion = self.table.expand(obligations)
         masks = self.table.masks(expansion.literal_set, self._literals.count)
         counts = np.diff(expansion.start)
@@ -134,23 +134,23 @@ class CutScheduler:
         usable = np.ones(len(obligations), dtype=bool)
         np.logical_and.at(usable, expansion.parent, free_to_use)
         usable &= (counts > 0) & (counts <= MOST_ALTERNATIVES)
-        place = self._alternatives
+        start = self._alternatives
         self._alternatives += len(masks)
         self._register(np.flatnonzero(masks[usable[expansion.parent]].any(axis=0)))
         width = len(self._strips.literal)
         self._asked = _grown(_wider(self._asked, width), self._alternatives, 0)
         self._next = _grown(self._next, self._alternatives, 0)
         self._weaker = _grown(self._weaker, self._alternatives, 0)
-        self._asked[place : self._alternatives, :width] = masks[:, self._strips.literal]
-        self._next[place : self._alternatives] = expansion.next
+        self._asked[start : self._alternatives, :width] = masks[:, self._strips.literal]
+        self._next[start : self._alternatives] = expansion.next
         if (counts > 1).any():
             i, j = self.table.subsumption(expansion)
             fits = usable[expansion.parent[i]]
             i, j = i[fits], j[fits]
-            self._weaker[place + j, i - expansion.start[expansion.parent[i]]] = True
+            self._weaker[start + j, i - expansion.start[expansion.parent[i]]] = True
         most = int(obligations.max()) + 1
         self._first, self._count = _grown(self._first, most, _UNKNOWN), _grown(self._count, most, 0)
-        self._first[obligations] = np.where(usable, place + expansion.start[:-1], _UNUSABLE)
+        self._first[obligations] = np.where(usable, start + expansion.start[:-1], _UNUSABLE)
         self._count[obligations] = counts
 
     def _fixed(self, masks: BoolArray) -> BoolArray:
@@ -160,14 +160,14 @@ class CutScheduler:
         return np.logical_not(masks[:, moving].any(axis=1))
 
     def _register(self, literals: Rows) -> None:
-        """Let the strips of some literals be among the strips."""
+        """Add the strips of some literals."""
         known = set(self._strips.literal.tolist())
         for literal in sorted(set(literals.tolist()) - known):
             strips, before = self._literals.fixed_strips(literal), self._strips
             plane = (0, 0) if self._plane is None else self._plane
             others = [i for i in range(self._n) if i not in plane]
             planar = ~strips.normal[:, others].any(axis=1) & (self._plane is not None)
-            self._strips = StraightStrips(
+            self._strips = ScheduledStrips(
                 np.concatenate([before.normal, strips.normal]),
                 np.concatenate([before.lower, strips.lower]),
                 np.concatenate([before.upper, strips.upper]),
@@ -196,9 +196,9 @@ def _walk(
     lower: FloatArray,
     upper: FloatArray,
 ) -> tuple[BoolArray, BoolArray, BoolArray, IntArray]:
-    """Straight (B,), active (B, N + 1, C), which strips are asked for at all (C,), and obligations not known yet."""
+    """Unbranched (B,), asked (B, N + 1, C), which strips are asked for at all (C,), obligations not looked up yet."""
     vehicles, strips = len(obligation), len(lower)
-    straight, active = np.zeros(vehicles, dtype=np.bool_), np.zeros((vehicles, steps + 1, strips), dtype=np.bool_)
+    unbranched, active = np.zeros(vehicles, dtype=np.bool_), np.zeros((vehicles, steps + 1, strips), dtype=np.bool_)
     used, unknown = np.zeros(strips, dtype=np.bool_), np.zeros(vehicles, dtype=np.int64)
     missing = 0
     z, g = generators.shape[2:]
@@ -211,33 +211,33 @@ def _walk(
                 unknown[missing] = now
                 missing += 1
                 break
-            way, ways = first[now], count[now]
-            if way == _UNUSABLE:
+            chosen, alternatives = first[now], count[now]
+            if chosen == _UNUSABLE:
                 break
-            if ways > 1:
+            if alternatives > 1:
                 if not known or (k == 0 and not tested[b]):
                     break
                 for c in range(strips):
                     wanted = False
-                    for a in range(way, way + ways):
+                    for a in range(chosen, chosen + alternatives):
                         wanted = wanted or asked[a, c]
                     if wanted:
                         found = tightened(center[b, k], generators[b, k], g, normals, c, lower[c], upper[c], work)
                         cuts[c], misses[c] = found[3], found[4]
-                way = _only(way, ways, asked, weaker, cuts, misses)
-                if way < 0:
+                chosen = _only(chosen, alternatives, asked, weaker, cuts, misses)
+                if chosen < 0:
                     break
             if k > 0 or tested[b]:
                 for c in range(strips):
-                    active[b, k, c] = asked[way, c]
-            now = following[way]
+                    active[b, k, c] = asked[chosen, c]
+            now = following[chosen]
             steps_done += 1
-        straight[b] = steps_done > steps
+        unbranched[b] = steps_done > steps
         for k in range(steps + 1):
             for c in range(strips):
-                active[b, k, c] = active[b, k, c] and straight[b]
+                active[b, k, c] = active[b, k, c] and unbranched[b]
                 used[c] = used[c] or active[b, k, c]
-    return straight, active, used, unknown[:missing]
+    return unbranched, active, used, unknown[:missing]
 
 
 @reduction_kernel
@@ -253,27 +253,27 @@ def _only(first: int, count: int, asked: BoolArray, weaker: BoolArray, cuts: Boo
                 break
             if other == one:
                 continue
-            gone, covered = False, weaker[first + one, other]
+            removed, covered = False, weaker[first + one, other]
             for c in range(strips):
-                gone = gone or (asked[first + other, c] and misses[c])
+                removed = removed or (asked[first + other, c] and misses[c])
                 covered = covered and not (asked[first + one, c] and cuts[c] and not asked[first + other, c])
-            holds = gone or covered
+            holds = removed or covered
         if alive and holds:
             return first + one
     return -1
 
 
-def _no_strips(n: int) -> StraightStrips:
-    return StraightStrips(
+def _no_strips(n: int) -> ScheduledStrips:
+    return ScheduledStrips(
         np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool),
         np.zeros((0, 2)),
     )  # fmt: skip
 
 
-def _some(strips: StraightStrips, kept: Rows) -> StraightStrips:
-    return StraightStrips(
-        strips.normal[kept], strips.lower[kept], strips.upper[kept], strips.literal[kept], strips.planar[kept],
-        strips.flat[kept],
+def _some(strips: ScheduledStrips, retained: Rows) -> ScheduledStrips:
+    return ScheduledStrips(
+        strips.normal[retained], strips.lower[retained], strips.upper[retained], strips.literal[retained],
+        strips.planar[retained], strips.flat[retained],
     )  # fmt: skip
 
 

@@ -1,9 +1,9 @@
-"""Where the vehicles of a batch can be over the horizon, cut by what their scenarios ask: the sets behind a tube.
+"""Reachable sets of the vehicles of a batch over the horizon, cut by their scenarios: the sets behind a tube.
 
-Two ways lead here. A vehicle whose scenarios ask, at every step, for one set of constant half-spaces and strips is
-*straight*: all of its steps are computed in one compiled loop. Every other vehicle may have branches, and predicates
-that depend on the set; its steps are computed one after the other, with all such vehicles of the batch together. Which
-way a vehicle goes depends on itself alone.
+They are computed in two ways. A vehicle whose scenarios ask, at every step, for one set of constant half-spaces and
+strips is *unbranched*: all of its steps are computed in one compiled loop. Every other vehicle may have branches, and
+predicates that depend on the set; its steps are computed one after the other, with all such vehicles of the batch
+together. Which way a vehicle goes depends on itself alone.
 """
 
 from collections.abc import Sequence
@@ -28,9 +28,9 @@ class ReachSets:
     """Sets of B vehicles at steps 1 to N, and those without side information, ``free``.
 
     ``area`` and ``area_free`` (B, N), ``heights`` (B, N, K) over the directions of an outline and ``hull`` (B, N, 2, n)
-    as in ``Figures``. ``acted`` (B, N, L): the literals that cut the sets of a step. ``bounded`` (B,): all sets are
+    as in ``SetSummary``. ``active`` (B, N, L): the literals that cut the sets of a step. ``bounded`` (B,): all sets are
     finite. ``emptied`` (B,): cuts left nothing, so that the sets are the free ones. ``excluded`` (B,): the data
-    excludes the stated bounds. ``blamed``: by row of a vehicle whose cuts left nothing, the step at which, and the
+    excludes the stated bounds. ``responsible``: by row of a vehicle whose cuts left nothing, the step at which, and the
     literals that took part.
     """
 
@@ -40,19 +40,19 @@ class ReachSets:
     area_free: FloatArray
     heights: FloatArray
     hull: FloatArray
-    acted: NDArray[np.bool_]
+    active: NDArray[np.bool_]
     bounded: NDArray[np.bool_]
     emptied: NDArray[np.bool_]
     excluded: NDArray[np.bool_]
-    blamed: dict[int, tuple[int, list[int]]]
+    responsible: dict[int, tuple[int, list[int]]]
 
     @staticmethod
-    def of(tubes: UnbranchedTubes, plan: CutSchedule, literals: int) -> "ReachSets":
-        """Those of straight vehicles."""
+    def of(tubes: UnbranchedTubes, schedule: CutSchedule, literals: int) -> "ReachSets":
+        """The sets of unbranched vehicles."""
         return ReachSets(
             _zonotopes(tubes.center, tubes.generators), _zonotopes(tubes.free_center, tubes.free_generators),
             tubes.area, tubes.area_free, tubes.heights, tubes.hull,
-            tubes.acted_literals(plan, literals)[:, 1:], tubes.bounded, tubes.ended >= 0, tubes.contradicted, {},
+            tubes.active_literals(schedule, literals)[:, 1:], tubes.bounded, tubes.ended >= 0, tubes.contradicted, {},
         )  # fmt: skip
 
     def publishable(self) -> NDArray[np.bool_]:
@@ -67,18 +67,18 @@ class ReachSets:
         return np.asarray(self.bounded & fits)
 
     def rows(self, rows: NDArray[np.intp]) -> "ReachSets":
-        """Those of some vehicles (K,), in that order."""
+        """The sets of some vehicles (K,), in that order."""
         arrays: list[Any] = []
         for f in fields(self)[:-1]:
             value = getattr(self, f.name)
             arrays.append(tuple(take_rows(s, rows) for s in value) if isinstance(value, tuple) else value[rows])
         place = {row: number for number, row in enumerate(rows.tolist())}
-        arrays.append({place[row]: what for row, what in self.blamed.items() if row in place})
+        arrays.append({place[row]: what for row, what in self.responsible.items() if row in place})
         return ReachSets(*arrays)
 
     @staticmethod
     def together(parts: Sequence["ReachSets"], order: NDArray[np.intp]) -> "ReachSets":
-        """Those of several batches one after the other, then in the ``order`` of rows given."""
+        """The sets of several batches, concatenated and then put into the ``order`` of rows given."""
         if len(parts) == 1:
             # One batch is in order.
             return parts[0]
@@ -89,12 +89,12 @@ class ReachSets:
                 arrays.append(tuple(join_sets(list(sets)) for sets in zip(*values, strict=True)))
             else:
                 arrays.append(np.concatenate(values))
-        blamed: dict[int, tuple[int, list[int]]] = {}
+        responsible: dict[int, tuple[int, list[int]]] = {}
         before = 0
         for part in parts:
-            blamed |= {before + row: what for row, what in part.blamed.items()}
+            responsible |= {before + row: what for row, what in part.responsible.items()}
             before += len(part.area)
-        arrays.append(blamed)
+        arrays.append(responsible)
         return ReachSets(*arrays).rows(order)
 
 

@@ -1,4 +1,4 @@
-"""The recursion over the horizon: from the sets of one sample to those of the next (``advance``: how, and why
+"""The recursion over the horizon, from the sets of one sample to those of the next (``step_kernel`` says why it is
 outer)."""
 
 from dataclasses import dataclass, field
@@ -14,12 +14,13 @@ from reach_server.numeric.types import FloatArray
 from reach_server.sets.raw import MAX_ROWS, RawSets
 from reach_server.tube.step_kernel import StepSpec, advance_many, columns_added
 
-#: Generators a coordinate that a set keeps (its order).
+#: Generators per coordinate that a set keeps (its order).
 ORDER = 3
 
 
 def rules_of(layout: RegressorSpec, process: FloatArray, *, membership: bool, order: int) -> StepSpec:
-    """What kernels need to know of a class; ``process`` noise generators (n, g), sets reduced to ``order``."""
+    """The step of a class in the form that kernels take; ``process`` noise generators (n, g), sets reduced to
+    ``order``."""
     # Columns along an axis only add to a box.
     along = np.count_nonzero(process, axis=0) <= 1
     plane = layout.plane or ((0, 1) if layout.n == 2 else (-1, -1))
@@ -31,10 +32,10 @@ def rules_of(layout: RegressorSpec, process: FloatArray, *, membership: bool, or
 
 @dataclass(slots=True, eq=False)
 class Recursion:
-    """How the sets of V vehicles move on: by their models, under ``inputs``, with ``process`` noise generators (n, g).
+    """Motion of the sets of V vehicles by their models, under ``inputs``, with ``process`` noise generators (n, g).
 
-    ``membership`` takes set membership where it is smaller; sets are reduced to ``order``
-    generators a coordinate, those of lagged inputs counted where they are no points.
+    ``membership`` takes set membership where it is smaller; sets are reduced to ``order`` generators per coordinate,
+    those of lagged inputs counted where they are not points.
     """
 
     inputs: InputSets
@@ -74,8 +75,8 @@ class Recursion:
         matrix, offset = sets.matrix[:, first:], sets.offset[:, first:]
         lifted = np.concatenate([sets.generators, matrix], axis=1)
         count, z = sets.center.shape
-        room = lifted.shape[2] + columns_added(self.fitted, self.rules)
-        center, moved = np.empty((count, z)), np.empty((count, lifted.shape[1], room))
+        added_columns = lifted.shape[2] + columns_added(self.fitted, self.rules)
+        center, moved = np.empty((count, z)), np.empty((count, lifted.shape[1], added_columns))
         most, wrong = advance_many(
             np.ascontiguousarray(sets.center), lifted, vehicle.astype(np.int64), self.fitted,
             np.ascontiguousarray(self.inputs.center[:, k]), np.ascontiguousarray(self.inputs.half[:, k]), self.rules,

@@ -1,4 +1,4 @@
-"""Sets that are held within bounds of each state: no set is larger than what limits allow.
+"""Sets cut to bounds of each state: no set is larger than the limits allow.
 
 Let S be a set that holds the state, and C the box of the bounds, which holds it, too. Published is an outer bound of
 the intersection of both: S cut by the strips of the bounds (mathematics, 4.19), and, where a state still reaches beyond
@@ -20,7 +20,7 @@ from reach_server.sets import halfspace as strips
 from reach_server.sets.kernels.strip import MISSED
 from reach_server.sets.raw import RawSets, replace_rows
 from reach_server.tube.reach_sets import ReachSets
-from reach_server.tube.summaries import WAYS, PlaneStrips, figures
+from reach_server.tube.summaries import OUTLINE_DIRECTIONS, PlaneStrips, summarize
 
 #: A set is not cut for reaching beyond its bounds by less than this part of its size: what rounding outwards adds.
 NEGLIGIBLE = 1e-6
@@ -29,8 +29,8 @@ NEGLIGIBLE = 1e-6
 def within(
     reach: ReachSets, low: FloatArray, high: FloatArray, plane: tuple[int, int], angles: Sequence[int]
 ) -> tuple[ReachSets, BoolArray]:
-    """What is reached, within bounds ``low`` and ``high`` (B, N, n) of the states at steps 1 to N, infinite where there
-    are none; and which vehicles (B,) have a set that was cut. Those of ``angles`` hold in any turn. Outer."""
+    """The reachable sets, cut to bounds ``low`` and ``high`` (B, N, n) of the states at steps 1 to N, infinite where
+    there are none; and which vehicles (B,) have a set that was cut. Those of ``angles`` hold in any turn. Outer."""
     steps, free = list(reach.steps), list(reach.free)
     area, area_free = reach.area.copy(), reach.area_free.copy()
     heights, hull = reach.heights.copy(), reach.hull.copy()
@@ -43,12 +43,14 @@ def within(
             for rows, some in _alike(sets, _beyond(sets, bottom, top)):
                 cut[rows] = True
                 held = _held(some, bottom[rows], top[rows], plane)
-                found = figures(held, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
+                found = summarize(held, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
                 areas[rows, k] = np.minimum(areas[rows, k], found.area)
                 if row_sets is steps:
                     moved = held.center - some.center
                     # No matrix product: its rounding depends on how many rows there are.
-                    along = moved[:, plane[:1]] * WAYS[:, 0] + moved[:, plane[1:]] * WAYS[:, 1]
+                    along = (
+                        moved[:, plane[:1]] * OUTLINE_DIRECTIONS[:, 0] + moved[:, plane[1:]] * OUTLINE_DIRECTIONS[:, 1]
+                    )
                     heights[rows, k] = np.minimum(heights[rows, k] - along, found.heights)
                     hull[rows, k, 0] = np.maximum(hull[rows, k, 0] - moved, found.hull[:, 0])
                     hull[rows, k, 1] = np.minimum(hull[rows, k, 1] - moved, found.hull[:, 1])
@@ -56,7 +58,7 @@ def within(
         larger = np.flatnonzero(cut & (area[:, k] > area_free[:, k]))
         # The set without side information holds the one with it.
         for rows, some in _alike(free[k], larger):
-            found = figures(some, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
+            found = summarize(some, np.zeros((len(rows), 0), dtype=bool), PlaneStrips.none(), plane)
             steps[k] = replace_rows(steps[k], rows, some)
             area[rows, k], heights[rows, k], hull[rows, k] = found.area, found.heights, found.hull
     if not cut.any():
@@ -116,8 +118,8 @@ def _held(sets: RawSets, low: FloatArray, high: FloatArray, plane: tuple[int, in
         found = strips.narrow(
             sets.center, sets.generators, np.eye(n), finite[0], finite[1], np.ones(low.shape, dtype=bool), plane=plane
         )
-        kept = np.flatnonzero(~(found.acted & MISSED).any(axis=1))
-        sets = replace_rows(sets, kept, RawSets.zonotope(found.center[kept], found.generators[kept]))
+        retained = np.flatnonzero(~(found.acted & MISSED).any(axis=1))
+        sets = replace_rows(sets, retained, RawSets.zonotope(found.center[retained], found.generators[retained]))
     half = _spread(sets)
     slack = NEGLIGIBLE * half + np.spacing(np.abs(sets.center))
     least, greatest = sets.center - half, sets.center + half

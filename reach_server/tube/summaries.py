@@ -1,4 +1,4 @@
-"""How sets become the figures of constant size that are published: area, outline, box, zonotope."""
+"""Summaries of constant size that are published of sets: area, outline, box, zonotope."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from reach_server.tube.branching import Branches, united
 
 #: Directions in which an outline bounds its set.
 OUTLINE = 12
-WAYS = planar.directions(OUTLINE)
+OUTLINE_DIRECTIONS = planar.directions(OUTLINE)
 #: Directions from which the area of a constrained set is bounded.
 AREA_DIRECTIONS = 32
 #: Generators of a published set beyond one per state.
@@ -29,8 +29,8 @@ EXTRA_GENERATORS = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetSummary:
-    """What is published about the sets of one step, relative to their centers: ``area`` (B,), ``heights`` (B, K) of the
-    sides of the outline over its directions, and the box ``hull`` (B, 2, n)."""
+    """The summary of the sets of one step, relative to their centers: ``area`` (B,), ``heights`` (B, K) of the sides of
+    the outline over its directions, and the box ``hull`` (B, 2, n)."""
 
     area: FloatArray
     heights: FloatArray
@@ -58,7 +58,7 @@ class PlaneStrips:
 
     @classmethod
     def of(cls, literals: Literals, chosen: Iterable[int], n: int, plane: tuple[int, int]) -> "PlaneStrips":
-        """Those of the ``chosen`` ones of some literals over n states."""
+        """The strips about the position of the ``chosen`` literals over n states."""
         found = [cls.none()]
         others = [i for i in range(n) if i not in plane]
         for literal in chosen:
@@ -71,8 +71,8 @@ class PlaneStrips:
         return cls(*(np.concatenate([getattr(f, name) for f in found]) for name in cls.__slots__))
 
 
-def figures(sets: RawSets, acting: NDArray[np.bool_], strips: PlaneStrips, plane: tuple[int, int]) -> SetSummary:
-    """Area, outline and box around sets (B), cut once more by the literals that acted on them, (B, L).
+def summarize(sets: RawSets, acting: NDArray[np.bool_], strips: PlaneStrips, plane: tuple[int, int]) -> SetSummary:
+    """Area, outline and box around sets (B), cut once more by the literals that cut them, (B, L).
 
     Zonotopes: the area is exact (of the set, where a predicate on the position acts: of its intersection with it), the
     outline and the box are outer bounds. Constrained sets: all three are outer bounds, certified by duality. Each
@@ -81,22 +81,22 @@ def figures(sets: RawSets, acting: NDArray[np.bool_], strips: PlaneStrips, plane
     if sets.matrix.shape[1]:
         return _constrained_figures(sets, plane)
     count = len(sets.center)
-    area, heights, hull = _figure_rows(
+    area, heights, hull = _summarize_rows(
         stacked(sets.center, 1, (count,), count), stacked(sets.generators, 2, (count,), count), *plane,
         np.ascontiguousarray(strips.normal), strips.lower, strips.upper,
-        np.ascontiguousarray(acting[:, strips.literal]), WAYS,
+        np.ascontiguousarray(acting[:, strips.literal]), OUTLINE_DIRECTIONS,
     )  # fmt: skip
     return SetSummary(area, heights, hull)
 
 
 @reduction_kernel
-def _figure_rows(
+def _summarize_rows(
     center: FloatArray, generators: FloatArray, plane0: int, plane1: int,
-    normals: FloatArray, lower: FloatArray, upper: FloatArray, on: NDArray[np.bool_], ways: FloatArray,
+    normals: FloatArray, lower: FloatArray, upper: FloatArray, on: NDArray[np.bool_], directions: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """``figures_one`` of center (R, n) and generators (R, n, g), with strips on where ``on`` (R, C) says."""
     count, n, g = generators.shape
-    area, heights, hull = np.zeros(count), np.zeros((count, len(ways))), np.zeros((count, 2, n))
+    area, heights, hull = np.zeros(count), np.zeros((count, len(directions))), np.zeros((count, 2, n))
     vertices, work = np.zeros((2, 2 * (g + len(lower)) + 1, 2)), np.zeros((WORK, max(n, g)))
     own_center, own, acting = np.zeros(n), np.zeros((n, g)), np.zeros(len(lower), dtype=np.bool_)
     for p in range(count):
@@ -108,7 +108,7 @@ def _figure_rows(
             acting[c] = on[p, c]
         area[p] = figures_one(
             own_center, own, g, n, plane0, plane1, normals, lower, upper, acting,
-            ways, heights[p], hull[p], vertices, work,
+            directions, heights[p], hull[p], vertices, work,
         )  # fmt: skip
     return area, heights, hull
 
@@ -121,16 +121,16 @@ def _outwards(
     return SetSummary(area, widened, hull + np.stack([-margin, margin], axis=1))
 
 
-def joined(
+def union_summary(
     each: SetSummary, owner: NDArray[np.intp], center: FloatArray, around: FloatArray, plane: tuple[int, int]
 ) -> SetSummary:
-    """Figures of the unions of sets: ``each`` of rows (R,) around ``center`` (R, n) that belong to the union ``owner``
-    (R,), ascending, around ``around`` (B, n): outer."""
+    """Summaries of the unions of sets: ``each`` of rows (R,) around ``center`` (R, n) that belong to the union
+    ``owner`` (R,), ascending, around ``around`` (B, n): outer."""
     if len(owner) == len(around):
         return each
     count, moved = len(around), center - around[owner]
     heights = np.full((count, each.heights.shape[1]), -np.inf)
-    np.maximum.at(heights, owner, each.heights + moved[:, plane] @ WAYS.T)
+    np.maximum.at(heights, owner, each.heights + moved[:, plane] @ OUTLINE_DIRECTIONS.T)
     low, high = np.full_like(around, np.inf), np.full_like(around, -np.inf)
     np.minimum.at(low, owner, each.hull[:, 0] + moved)
     np.maximum.at(high, owner, each.hull[:, 1] + moved)
@@ -144,12 +144,12 @@ def joined(
 def of_tracks(
     step: Branches, chosen: NDArray[np.intp], strips: PlaneStrips, plane: tuple[int, int]
 ) -> tuple[RawSets, SetSummary]:
-    """For each chosen track (B,), ascending, each with a branch: a set around its branches, and their figures."""
+    """For each chosen track (B,), ascending, each with a branch: a set around its branches, and their summary."""
     rows = np.flatnonzero(np.isin(step.track, chosen))
     owner = np.searchsorted(chosen, step.track[rows])
     around = united(step, chosen)
-    each = figures(take_rows(step.sets, rows), step.within[rows], strips, plane)
-    return around, joined(each, owner, step.sets.center[rows], around.center, plane)
+    each = summarize(take_rows(step.sets, rows), step.within[rows], strips, plane)
+    return around, union_summary(each, owner, step.sets.center[rows], around.center, plane)
 
 
 def where_smaller(
@@ -177,7 +177,7 @@ def _constrained_figures(sets: RawSets, plane: tuple[int, int]) -> SetSummary:
         zero, planar_generators, sets.matrix, sets.offset, planar.directions(AREA_DIRECTIONS)
     )
     area = np.clip(planar.polygon_area(planar.outer_polygon(heights)), 0.0, planar.zonotope_area(planar_generators))
-    outline = support.constrained_support(zero, planar_generators, sets.matrix, sets.offset, WAYS)
+    outline = support.constrained_support(zero, planar_generators, sets.matrix, sets.offset, OUTLINE_DIRECTIONS)
     return _outwards(area, outline, hull, size, plane)
 
 

@@ -1,56 +1,93 @@
-"""Tubes without branches: sets, cuts and figures of all vehicles and steps in one compiled loop.
+"""Tubes without branches: sets, cuts and summaries of all vehicles and steps in one compiled loop.
 
-The same as ``tube`` and ``figures`` come to where one alternative is left at each step (``plans``), without a batch per
-step. A set that cuts did not make smaller is published without them.
+The result equals that of ``branching`` and ``summaries`` where one alternative remains at each step (``cut_schedule``),
+without a batch per step. A set that cuts did not make smaller is published without them.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reach_server.numeric.jit import reduction_kernel, stacked
-from reach_server.numeric.types import BoolArray, FloatArray
+from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.predicates.cut_kinds import CUT_KINDS, CutMethod
 from reach_server.sets.kernels.planar import figures_one
 from reach_server.sets.kernels.strip import ACTED, WORK, narrow_one
 from reach_server.tube.cut_schedule import CutSchedule
-from reach_server.tube.summaries import WAYS
+from reach_server.tube.summaries import OUTLINE_DIRECTIONS
 
-__all__ = ["CutSchedule", "UnbranchedTubes", "box_tubes"]
+__all__ = ["AskedStrips", "CutSchedule", "UnbranchedTubes", "asked_strips", "box_tubes", "most_asked"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnbranchedTubes:
+class UnbranchedTubes(NamedTuple):
     """Tubes of B vehicles over steps 1 to N, as published: ``center`` (B, N, n) and ``generators`` (B, N, n, G), zero
     beyond the first ``used`` (B, N) columns; the sets without cuts ``free_center`` (B, N, n), ``free_generators``.
 
-    ``area``, ``area_free`` (B, N), ``heights`` (B, N, K) and ``hull`` (B, N, 2, n) as in ``Figures``, relative to the
-    centers. ``acted`` (B, N + 1, C): the strips of the plan that cut at steps 0 to N. ``ended`` (B,): the first step at
-    which the cuts left certainly nothing, -1 where there is none; a vehicle with an end is published without cuts.
-    ``bounded`` (B,): all sets are finite. ``contradicted`` (B,): data excludes the stated bounds.
+    ``area``, ``area_free`` (B, N), ``heights`` (B, N, K) and ``hull`` (B, N, 2, n) as in ``SetSummary``, relative to
+    the centers. ``active`` (B, N + 1, C): the strips of the schedule that cut at steps 0 to N. ``ended`` (B,): the
+    first step at which the cuts left certainly nothing, -1 where there is none; a vehicle with an end is published
+    without cuts. ``bounded`` (B,): all sets are finite. ``contradicted`` (B,): data excludes the stated bounds.
     """
 
     center: FloatArray
     generators: FloatArray
-    used: NDArray[np.int64]
+    used: IntArray
     free_center: FloatArray
     free_generators: FloatArray
     area: FloatArray
     area_free: FloatArray
     heights: FloatArray
     hull: FloatArray
-    acted: BoolArray
-    ended: NDArray[np.int64]
+    active: BoolArray
+    ended: IntArray
     bounded: BoolArray
     contradicted: BoolArray
 
-    def acted_literals(self, plan: CutSchedule, count: int) -> BoolArray:
+    def active_literals(self, schedule: CutSchedule, count: int) -> BoolArray:
         """Which of ``count`` literals cut at steps 0 to N, (B, N + 1, L)."""
-        found = np.zeros((*self.acted.shape[:2], count), dtype=bool)
-        for c, literal in enumerate(plan.strips.literal.tolist()):
-            found[:, :, literal] |= self.acted[:, :, c]
+        found = np.zeros((*self.active.shape[:2], count), dtype=bool)
+        for c, literal in enumerate(schedule.strips.literal.tolist()):
+            found[:, :, literal] |= self.active[:, :, c]
         return found
+
+
+class AskedStrips(NamedTuple):
+    """A schedule for kernels: the strips of ``ScheduledStrips``, asked for where ``asked`` (B, N + 1, C); the plane;
+    ``frobenius``, whether a cut is kept that makes the set larger; and the ``directions`` (K, 2) of outlines."""
+
+    asked: BoolArray
+    normal: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    planar: BoolArray
+    flat: FloatArray
+    plane: tuple[int, int]
+    frobenius: bool
+    directions: FloatArray
+
+
+class BoxSets(NamedTuple):
+    """The sets without cuts at steps 1 to N, center (B, N, n) and generators (B, N, n, g), and those of now,
+    ``start_center`` (B, n) and ``start_generators`` (B, n, g0)."""
+
+    center: FloatArray
+    generators: FloatArray
+    start_center: FloatArray
+    start_generators: FloatArray
+
+
+def asked_strips(schedule: CutSchedule, plane: tuple[int, int], cuts: CutMethod) -> AskedStrips:
+    """A schedule in the form that kernels take, cut by the method ``cuts``."""
+    strips = schedule.strips
+    return AskedStrips(
+        schedule.asked, strips.normal, strips.lower, strips.upper, strips.planar, strips.flat, plane,
+        CUT_KINDS[cuts].keeps_larger_result, OUTLINE_DIRECTIONS,
+    )  # fmt: skip
+
+
+def most_asked(schedule: CutSchedule) -> int:
+    """The greatest number of strips that are asked of one set."""
+    return int(schedule.asked.sum(axis=2).max(initial=0))
 
 
 def box_tubes(
@@ -58,71 +95,40 @@ def box_tubes(
     generators: FloatArray,
     start_center: FloatArray,
     start_generators: FloatArray,
-    plan: CutSchedule,
+    schedule: CutSchedule,
     plane: tuple[int, int],
     cuts: CutMethod,
 ) -> UnbranchedTubes:
     """Tubes whose sets, center (B, N, n) and generators (B, N, n, g), do not depend on how the one before was cut.
 
-    ``start_center`` (B, n) and ``start_generators`` (B, n, g0) are the sets of now, which the cuts of step 0 may leave
-    nothing of. ``cuts`` is ``zonotope`` or ``frobenius``; outer bounds either way.
+    ``start_center`` (B, n) and ``start_generators`` (B, n, g0) are the sets of now, of which the cuts of step 0 may
+    leave nothing. ``cuts`` is ``zonotope`` or ``frobenius``; outer bounds either way.
     """
     count = len(center)
-    frobenius = CUT_KINDS[cuts].keeps_larger_result
-    strips = plan.strips
-    most = int(plan.active.sum(axis=2).max(initial=0))
-    # Room for all columns that two passes may add, so that no set depends on what is asked of others.
-    room = most if frobenius else 2 * most
-    found = _box_tubes(
+    sets = BoxSets(
         stacked(center, 2, (count,), count), stacked(generators, 3, (count,), count),
-        stacked(start_center, 1, (count,), count), stacked(start_generators, 2, (count,), count), plan.active,
-        strips.normal, strips.lower, strips.upper, strips.planar, strips.flat,
-        plane[0], plane[1], frobenius, room, WAYS,
+        stacked(start_center, 1, (count,), count), stacked(start_generators, 2, (count,), count),
     )  # fmt: skip
-    sets, own, used, area, area_free, heights, hull, acted, ended, bounded = found
-    return UnbranchedTubes(
-        sets, own, used, center, generators, area, area_free, heights, hull, acted, ended, bounded,
-        np.zeros(count, dtype=bool),
-    )  # fmt: skip
+    strips = asked_strips(schedule, plane, cuts)
+    # All columns that two passes may add, so that no set depends on what is asked of others.
+    added = most_asked(schedule) * (1 if strips.frobenius else 2)
+    return _box_tubes(sets, strips, added)
 
 
 @reduction_kernel
-def _box_tubes(
-    free_center: FloatArray,
-    free_generators: FloatArray,
-    start_center: FloatArray,
-    start_generators: FloatArray,
-    active: BoolArray,
-    normals: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    planar: BoolArray,
-    flat: FloatArray,
-    plane0: int,
-    plane1: int,
-    frobenius: bool,
-    room: int,
-    ways: FloatArray,
-) -> tuple[
-    FloatArray,
-    FloatArray,
-    NDArray[np.int64],
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    BoolArray,
-    NDArray[np.int64],
-    BoolArray,
-]:
+def _box_tubes(sets: BoxSets, asked: AskedStrips, added: int) -> UnbranchedTubes:
+    """The tubes of ``box_tubes``, with room for ``added`` columns of cuts."""
+    free_center, free_generators, start_center, start_generators = sets
+    normals, lower, upper, planar, flat = asked.normal, asked.lower, asked.upper, asked.planar, asked.flat
+    (plane0, plane1), frobenius, directions = asked.plane, asked.frobenius, asked.directions
     vehicles, steps, n, g = free_generators.shape
-    first, strips, sides = start_generators.shape[2], len(lower), len(ways)
-    widest = max(g, first) + room
+    first, strips, sides = start_generators.shape[2], len(lower), len(directions)
+    widest = max(g, first) + added
     center, generators = np.zeros((vehicles, steps, n)), np.zeros((vehicles, steps, n, widest))
     used = np.full((vehicles, steps), g)
     area, area_free = np.zeros((vehicles, steps)), np.zeros((vehicles, steps))
     heights, hull = np.zeros((vehicles, steps, sides)), np.zeros((vehicles, steps, 2, n))
-    acted, ended = np.zeros((vehicles, steps + 1, strips), dtype=np.bool_), np.full(vehicles, -1)
+    active, ended = np.zeros((vehicles, steps + 1, strips), dtype=np.bool_), np.full(vehicles, -1)
     bounded = np.ones(vehicles, dtype=np.bool_)
     # What belongs to one set at a time lies in arrays of its own: looking up parts of large ones costs more than this.
     own_center, own, own_heights, own_hull = np.zeros(n), np.zeros((n, widest)), np.zeros(sides), np.zeros((2, n))
@@ -140,12 +146,12 @@ def _box_tubes(
             if k > 0:
                 area[b, k - 1] = figures_one(
                     own_center, own, columns, n, plane0, plane1, flat, lower, upper, none,
-                    ways, own_heights, own_hull, vertices, work,
+                    directions, own_heights, own_hull, vertices, work,
                 )  # fmt: skip
                 area_free[b, k - 1] = area[b, k - 1]
             asks = False
             for c in range(strips):
-                on[c] = active[b, k, c] and cutting
+                on[c] = asked.asked[b, k, c] and cutting
                 asks = asks or on[c]
             better = False
             if asks:
@@ -162,13 +168,13 @@ def _box_tubes(
                     continue
                 acts = frobenius
                 for c in range(strips):
-                    acted[b, k, c] = flags[c] & ACTED != 0
-                    acts = acts or acted[b, k, c]
+                    active[b, k, c] = flags[c] & ACTED != 0
+                    acts = acts or active[b, k, c]
                     on[c] = on[c] and planar[c]
                 if acts and k > 0:
                     cut_area = figures_one(
                         cut_center, cut, columns, n, plane0, plane1, flat, lower, upper, on,
-                        ways, cut_heights, cut_hull, vertices, work,
+                        directions, cut_heights, cut_hull, vertices, work,
                     )  # fmt: skip
                     better = frobenius or cut_area <= area_free[b, k - 1]
                     if better:
@@ -185,4 +191,7 @@ def _box_tubes(
                 for i in range(sides):
                     heights[b, k - 1, i] = cut_heights[i] if better else own_heights[i]
             k += 1
-    return center, generators, used, area, area_free, heights, hull, acted, ended, bounded
+    return UnbranchedTubes(
+        center, generators, used, free_center, free_generators, area, area_free, heights, hull, active, ended, bounded,
+        np.zeros(vehicles, dtype=np.bool_),
+    )  # fmt: skip

@@ -1,4 +1,5 @@
-"""Compiled: the model of a vehicle, from all data of its window or carried on by the data that enter and leave."""
+"""Compiled: the ridge model of a vehicle, fitted to all data of its window or updated with the data that enter and
+leave."""
 
 import math
 
@@ -29,69 +30,70 @@ SPARE = 24
 
 
 @kernel
-def reach_back(count: int, places: int, terms: FeatureSpec) -> int:
-    """Number of the oldest sample that may be a datum, when ``count`` samples have come to a ring of ``places``."""
-    return int(max(0, count - places + terms.reach + SPARE))
+def reach_back(count: int, indices: int, spec: FeatureSpec) -> int:
+    """Number of the oldest sample that may be a datum, when ``count`` samples have come to a ring of ``indices``."""
+    return int(max(0, count - indices + spec.reach + SPARE))
 
 
 @kernel
-def usable_numbers(samples: Samples, count: int, slot: int, terms: FeatureSpec, out: IntArray) -> int:
+def usable_numbers(samples: Samples, count: int, slot: int, spec: FeatureSpec, out: IntArray) -> int:
     """Numbers ``out`` (S,) of the samples of a vehicle that are data; how many."""
     run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
     found = 0
-    for number in range(reach_back(count, len(run), terms), count - terms.horizon):
-        if usable(run, known, gated, number, terms):
+    for number in range(reach_back(count, len(run), spec), count - spec.horizon):
+        if usable(run, known, gated, number, spec):
             out[found] = number
             found += 1
     return found
 
 
 @kernel
-def count_usable(samples: Samples, count: IntArray, slots: IntArray, terms: FeatureSpec, out: IntArray) -> None:
+def count_usable(samples: Samples, count: IntArray, slots: IntArray, spec: FeatureSpec, out: IntArray) -> None:
     """How many data vehicles (B,) have."""
     numbers = np.empty(samples.t.shape[1], dtype=np.int64)
     for b in range(len(slots)):
-        out[b] = usable_numbers(samples, count[slots[b]], slots[b], terms, numbers)
+        out[b] = usable_numbers(samples, count[slots[b]], slots[b], spec, numbers)
 
 
 @kernel
 def carry_on(
-    samples: Samples, count: IntArray, slots: IntArray, model: Model, terms: FeatureSpec, outgrown: BoolArray
+    samples: Samples, count: IntArray, slots: IntArray, model: Model, spec: FeatureSpec, outgrown: BoolArray
 ) -> None:
-    """Let data enter and leave the sums of vehicles (B,), and solve anew. What leaves must still be in the window, with
-    all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the units of features."""
-    lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
-    z, y = np.empty(terms.total), np.empty(terms.horizon * terms.n)
+    """Update the sums of vehicles (B,) with the data that enter and leave, and solve again. What leaves must still be
+    in the window, with all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the
+    units of features."""
+    lower, begins = np.empty((spec.total, spec.total)), first_columns(spec)
+    z, y = np.empty(spec.total), np.empty(spec.horizon * spec.n)
     for b in range(len(slots)):
         slot = slots[b]
         t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
         run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
         mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
-        begin, end = reach_back(count[slot], len(t), terms), count[slot] - terms.horizon
+        begin, end = reach_back(count[slot], len(t), spec), count[slot] - spec.horizon
         first, last, previous = model.oldest[slot], model.newest[slot], -2
         for k in range(max(end - last, 0) + max(begin - first, 0)):
             enters = k < end - last
             number = last + k if enters else first + k - max(end - last, 0)
-            if not usable(run, known, gated, number, terms):
+            if not usable(run, known, gated, number, spec):
                 continue
-            recorded(t, x, u, number, terms, z)
+            recorded(t, x, u, number, spec, z)
             if enters:
                 _believe(z, mean, scale, limit)
             standardise(z, mean, scale, limit, z)
             if number == previous + 1:
                 # All but the last increment are those of the datum before.
-                y[: -terms.n] = y[terms.n :]
-                increment(t, x, (number + terms.horizon - 1) % len(t), terms, y, len(y) - terms.n)
+                y[: -spec.n] = y[spec.n :]
+                increment(t, x, (number + spec.horizon - 1) % len(t), spec, y, len(y) - spec.n)
             else:
-                targets(t, x, number, terms, y)
+                targets(t, x, number, spec, y)
             previous = number
             add(z, y, 1.0 if enters else -1.0, model.gram[slot], model.cross[slot])
             model.data[slot] += 1 if enters else -1
         model.newest[slot], model.oldest[slot] = max(end, last), max(begin, first)
         _solve(model, slot, begins, lower)
-        _ranges(samples, count[slot], slot, model, terms)
+        _ranges(samples, count[slot], slot, model, spec)
         outgrown[b] = False
-        for j in range(terms.total):
+        for j in range(spec.total):
             outgrown[b] |= model.gram[slot, j, j] > OUTGROWN**2 * max(model.data[slot], 1)
 
 
@@ -117,26 +119,26 @@ def fit(
     fill: BoolArray,
     model: Model,
     record: ScoreHistory,
-    terms: FeatureSpec,
+    spec: FeatureSpec,
 ) -> None:
     """Models of vehicles (B,) from all data of their windows. Where ``fill`` (B,) says so the ridge is chosen by
     out-of-fold errors, and these enter the record of errors where nothing better is known."""
-    places = samples.t.shape[1]
-    numbers = np.empty(places, dtype=np.int64)
-    phi, targeted = np.empty((places, terms.total)), np.empty((places, terms.horizon * terms.n))
-    change = np.empty(terms.n)
-    lower, begins = np.empty((terms.total, terms.total)), first_columns(terms)
+    indices = samples.t.shape[1]
+    numbers = np.empty(indices, dtype=np.int64)
+    phi, targeted = np.empty((indices, spec.total)), np.empty((indices, spec.horizon * spec.n))
+    change = np.empty(spec.n)
+    lower, begins = np.empty((spec.total, spec.total)), first_columns(spec)
     for b in range(len(slots)):
         slot = slots[b]
         t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
-        rows = usable_numbers(samples, count[slot], slot, terms, numbers)
+        rows = usable_numbers(samples, count[slot], slot, spec, numbers)
         z, y = phi[:rows], targeted[:rows]
         for k in range(rows):
-            recorded(t, x, u, numbers[k], terms, z[k])
-            targets(t, x, numbers[k], terms, y[k])
+            recorded(t, x, u, numbers[k], spec, z[k])
+            targets(t, x, numbers[k], spec, y[k])
         record.fastest[slot] = 0.0
-        for number in range(max(1, count[slot] - places + 1), count[slot]):
-            step_sizes(samples, slot, number, terms, change, record.fastest[slot])
+        for number in range(max(1, count[slot] - indices + 1), count[slot]):
+            step_sizes(samples, slot, number, spec, change, record.fastest[slot])
         mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
         _units_of(z, mean, scale, limit)
         model.gram[slot], model.cross[slot] = 0.0, 0.0
@@ -144,31 +146,31 @@ def fit(
             standardise(z[k], mean, scale, limit, z[k])
             add(z[k], y[k], 1.0, model.gram[slot], model.cross[slot])
         model.data[slot] = rows
-        model.oldest[slot], model.newest[slot] = reach_back(count[slot], places, terms), count[slot] - terms.horizon
-        _ranges(samples, count[slot], slot, model, terms)
+        model.oldest[slot], model.newest[slot] = reach_back(count[slot], indices, spec), count[slot] - spec.horizon
+        _ranges(samples, count[slot], slot, model, spec)
         if fill[b]:
-            errors = _out_of_fold(x, numbers[:rows], z, y, model.gram[slot], model.cross[slot], terms)
+            errors = _out_of_fold(x, numbers[:rows], z, y, model.gram[slot], model.cross[slot], spec)
             choice = _best(errors)
             model.ridge[slot] = RIDGES[choice]
-            _complete(record.codes[slot], numbers[:rows], errors[choice], terms)
+            _complete(record.codes[slot], numbers[:rows], errors[choice], spec)
         _solve(model, slot, begins, lower)
 
 
 @kernel
-def _ranges(samples: Samples, count: int, slot: int, model: Model, terms: FeatureSpec) -> None:
+def _ranges(samples: Samples, count: int, slot: int, model: Model, spec: FeatureSpec) -> None:
     """The ranges of the states and inputs of a vehicle, of what enters the model: samples that N others follow."""
     x, u, gated = samples.x[slot], samples.u[slot], samples.gated[slot]
-    places = len(x)
-    used = np.zeros(places, dtype=np.bool_)
-    begin, end = max(0, count - places), count - terms.horizon
+    indices = len(x)
+    used = np.zeros(indices, dtype=np.bool_)
+    begin, end = max(0, count - indices), count - spec.horizon
     for number in range(begin, end):
-        used[number % places] = not gated[number % places]
-    for i in range(terms.n):
+        used[number % indices] = not gated[number % indices]
+    for i in range(spec.n):
         model.low[slot, i], model.high[slot, i] = range_of(x[:, i], used)
     for number in range(begin, end):
-        used[number % places] = samples.known[slot, number % places]
-    for i in range(terms.m):
-        model.low[slot, terms.n + i], model.high[slot, terms.n + i] = range_of(u[:, i], used)
+        used[number % indices] = samples.known[slot, number % indices]
+    for i in range(spec.m):
+        model.low[slot, spec.n + i], model.high[slot, spec.n + i] = range_of(u[:, i], used)
 
 
 @kernel
@@ -198,14 +200,14 @@ def _out_of_fold(
     y: FloatArray,
     whole: FloatArray,
     right: FloatArray,
-    terms: FeatureSpec,
+    spec: FeatureSpec,
 ) -> FloatArray:
     """Errors (choices, rows, N n) of every datum by the model of the other folds, for every ridge; ``whole`` and
     ``right`` are the sums over all data."""
     rows, columns = y.shape
     errors = np.empty((len(RIDGES), rows, columns))
-    lower, matrix, begins = np.empty_like(whole), np.empty_like(right), first_columns(terms)
-    d, center, error = np.empty(columns), np.empty((terms.horizon, terms.n)), np.empty(terms.n)
+    lower, matrix, begins = np.empty_like(whole), np.empty_like(right), first_columns(spec)
+    d, center, error = np.empty(columns), np.empty((spec.horizon, spec.n)), np.empty(spec.n)
     for fold in range(FOLDS):
         begin, end = fold * rows // FOLDS, (fold + 1) * rows // FOLDS
         gram, cross = whole.copy(), right.copy()
@@ -218,25 +220,25 @@ def _out_of_fold(
                 number = numbers[k]
                 here = number % len(x)
                 increments_of(z[k], matrix, begins, d)
-                roll_out(x[here], d, terms, center)
-                angle = x[here, terms.heading] if terms.heading >= 0 else 0.0
+                roll_out(x[here], d, spec, center)
+                angle = x[here, spec.heading] if spec.heading >= 0 else 0.0
                 c, s = math.cos(angle), math.sin(angle)
-                for h in range(terms.horizon):
-                    error_in_frame(x, (number + h + 1) % len(x), center, h, c, s, terms, error)
-                    for i in range(terms.n):
-                        errors[choice, k, h * terms.n + i] = error[i]
+                for h in range(spec.horizon):
+                    error_in_frame(x, (number + h + 1) % len(x), center, h, c, s, spec, error)
+                    for i in range(spec.n):
+                        errors[choice, k, h * spec.n + i] = error[i]
     return errors
 
 
 @kernel
-def _complete(codes: Codes, numbers: IntArray, errors: FloatArray, terms: FeatureSpec) -> None:
-    """Put errors (rows, N n) on record where none is known."""
+def _complete(codes: Codes, numbers: IntArray, errors: FloatArray, spec: FeatureSpec) -> None:
+    """Record errors (rows, N n) where none is known."""
     for k in range(len(numbers)):
-        for h in range(terms.horizon):
-            place = (numbers[k] + h + 1) % len(codes)
-            if codes[place, h, 0] == 0:
-                for i in range(terms.n):
-                    codes[place, h, i] = encoded(abs(errors[k, h * terms.n + i]))
+        for h in range(spec.horizon):
+            index = (numbers[k] + h + 1) % len(codes)
+            if codes[index, h, 0] == 0:
+                for i in range(spec.n):
+                    codes[index, h, i] = encoded(abs(errors[k, h * spec.n + i]))
 
 
 @kernel

@@ -1,8 +1,8 @@
-"""Calibrated sets of the vehicles of a class, in a stream of samples.
+"""Conformal prediction of the vehicles of a class from a stream of samples.
 
 What is claimed: if the errors to come are exchangeable with those on record, a set of step h holds the next measured
 state with probability at least the profile's ``confidence`` [VGS05, chapter 2]. For the newest sample k with features
-φ_h (``terms``):
+φ_h (``spec``):
 
     d_{k+h} ≈ M_h φ_h                                  increment in the vehicle's own frame (or the world's)
     θ_{h+1} = θ_h + d^θ ,  p_{h+1} = p_h + R(θ_h) d^p     centre of step h + 1
@@ -47,8 +47,8 @@ LEAST_BEYOND = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """How calibrated sets go on: each step has a box of its own, whatever cut the one before. It holds the state that
-    will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
+    """Calibrated boxes, a ``Motion``: each step has a box of its own, whatever cut the one before. It holds the state
+    that will be measured at the rate of the profile's confidence, under the assumptions of mathematics, 5.2 and 5.3.
 
     ``center`` (B, N, n); ``half`` (B, N, n) half-widths in the frame of the newest sample; ``generators`` (B, N, n, n)
     the same, turned to the world. ``unseen`` (B, n + m): states and inputs of which what enters the model lies outside
@@ -82,7 +82,7 @@ def least_scores(confidence: float) -> int:
     return least
 
 
-def left_outside(window: int, confidence: float) -> int:
+def scores_beyond(window: int, confidence: float) -> int:
     """How many of ``window`` scores lie beyond the margin: those above the ceil((W + 1) confidence)-th smallest."""
     return max(window - int(np.ceil((window + 1) * confidence - 1e-9)), 0)
 
@@ -91,13 +91,13 @@ def least_window(confidence: float) -> int:
     """The shortest window that leaves ``LEAST_BEYOND`` scores beyond the margin: the least W with
     (1 - confidence)(W + 1) ≥ ``LEAST_BEYOND`` + 1."""
     least = max(int((LEAST_BEYOND + 1) / (1 - confidence)) - 2, 1)
-    while left_outside(least, confidence) < LEAST_BEYOND:
+    while scores_beyond(least, confidence) < LEAST_BEYOND:
         least += 1
     return least
 
 
 class ConformalPredictor:
-    """Models, sizes and margins of the vehicles of a class, by slot; what they are made of stands in ``window``.
+    """Models, sizes and margins of the vehicles of a class, by slot; their samples are in ``window``.
 
     Sets hold the next measured states at a rate [VGS05], no set is guaranteed (mathematics, section 5). ``slots`` (B,)
     name the vehicles asked about. Per tick, in this order: ``observe``, ``refit``, ``predict``. Equal data gives equal
@@ -117,21 +117,21 @@ class ConformalPredictor:
     def __init__(
         self, profile: VehicleProfile, layout: RegressorSpec, window: Window, horizon: int, *, planned: bool = False
     ) -> None:
-        self._terms = FeatureSpec.of(profile, layout, horizon, planned=planned)
+        self._spec = FeatureSpec.of(profile, layout, horizon, planned=planned)
         self._confidence = profile.confidence
         self._window = window
         self._plane = np.isin(np.arange(layout.n), profile.position)
         self._span = profile.window
         #: The least number of data for a model.
-        self.least = max(least_scores(profile.confidence), DATA_PER_UNKNOWN * self._terms.total)
-        self._room = window.size - self._terms.reach - horizon - fitting.SPARE
+        self.least = max(least_scores(profile.confidence), DATA_PER_UNKNOWN * self._spec.total)
+        self._capacity = window.size - self._spec.reach - horizon - fitting.SPARE
         self._check(profile)
-        self._owner = owners(profile, layout, self._terms)
-        self._model, self._record, self._waiting = empty(
-            self._terms, window.size, self._terms.groups, tube=profile.margin == "tube"
+        self._owner = owners(profile, layout, self._spec)
+        self._model, self._record, self._pending = empty(
+            self._spec, window.size, self._spec.groups, tube=profile.margin == "tube"
         )
         self._revision = np.zeros(0, dtype=np.int64)
-        self._stale = np.zeros(0, dtype=bool)
+        self._outdated = np.zeros(0, dtype=bool)
         self._solved = np.zeros(0, dtype=np.int64)
         self._renewal = np.zeros(0, dtype=np.int64)
         self._chosen_on = np.zeros(0, dtype=np.int64)
@@ -140,18 +140,18 @@ class ConformalPredictor:
         self.frozen = False
 
     def _check(self, profile: VehicleProfile) -> None:
-        beyond = left_outside(profile.window, profile.confidence)
+        beyond = scores_beyond(profile.window, profile.confidence)
         if beyond < LEAST_BEYOND:
             raise UsageError(
                 f"confidence {profile.confidence:g} leaves {beyond} of the {profile.window} scores of a window "
                 f"outside the sets, too few to tell: at least {LEAST_BEYOND} are needed; make the window "
                 f"{least_window(profile.confidence)} or longer, or the confidence smaller"
             )
-        if self._room < self.least:
+        if self._capacity < self.least:
             raise UsageError(
-                f"a calibrated model with {self._terms.total} features and confidence {profile.confidence:g} needs "
-                f"{self.least} data, there is room for {self._room}: make the window "
-                f"{profile.window + self.least - self._room} or "
+                f"a calibrated model with {self._spec.total} features and confidence {profile.confidence:g} needs "
+                f"{self.least} data, there is room for {self._capacity}: make the window "
+                f"{profile.window + self.least - self._capacity} or "
                 "longer, or let fewer inputs lag"
             )
 
@@ -159,33 +159,33 @@ class ConformalPredictor:
     def resolved(self) -> int:
         """Steps h whose margin rests on enough errors that do not overlap: of as many coming checks as the window is
         long, 3 h are expected to miss."""
-        return min(self._terms.horizon, int((1 - self._confidence) * self._span / LEAST_BEYOND + 1e-9))
+        return min(self._spec.horizon, int((1 - self._confidence) * self._span / LEAST_BEYOND + 1e-9))
 
     @property
     def glitches(self) -> IntArray:
         """Samples (V,) found to be measurement glitches, by slot."""
-        return self._waiting.glitches
+        return self._pending.glitches
 
     @property
     def bytes_per_vehicle(self) -> int:
         """Memory of one vehicle, its window not counted."""
-        return sum(int(np.prod(a.shape[1:])) * a.itemsize for a in (*self._model, *self._record, *self._waiting))
+        return sum(int(np.prod(a.shape[1:])) * a.itemsize for a in (*self._model, *self._record, *self._pending))
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
         self._model, self._record = grown(self._model, slots), grown(self._record, slots)
-        self._waiting = grown(self._waiting, slots)
+        self._pending = grown(self._pending, slots)
         for name in ("_revision", "_stale", "_solved", "_renewal", "_chosen_on", "_checksum"):
             array = getattr(self, name)
             setattr(self, name, grow_rows(array, slots, array))
 
     def reset(self, slot: int) -> None:
         """Forget what was learned of one vehicle."""
-        for array in (*self._model, *self._record, *self._waiting):
+        for array in (*self._model, *self._record, *self._pending):
             array[slot] = 0
-        self._waiting.number[slot] = self._waiting.last_number[slot] = -1
+        self._pending.number[slot] = self._pending.last_number[slot] = -1
         self._revision[slot] = self._window.revision[slot]
-        self._stale[slot] = False
+        self._outdated[slot] = False
 
     def observe(self, slots: IndexArray) -> None:
         """Score the predictions of some vehicles by the samples that have come since; marks glitches in the window."""
@@ -195,11 +195,11 @@ class ConformalPredictor:
         moved = revision[slots] != self._revision[slots]
         if moved.any():
             # Late samples have moved the others: nothing on record stands where it stood.
-            self._stale[slots[moved]] = True
+            self._outdated[slots[moved]] = True
             self._revision[slots[moved]] = revision[slots[moved]]
-        live = slots[~self._stale[slots]] if self._stale[slots].any() else slots
+        live = slots[~self._outdated[slots]] if self._outdated[slots].any() else slots
         gate = np.empty(len(live), dtype=np.int64)
-        observe(self._samples(), count, live, self._record, self._waiting, self._terms, self._confidence, gate)
+        observe(self._samples(), count, live, self._record, self._pending, self._spec, self._confidence, gate)
         if (found := gate >= 0).any():
             self._window.gate(live[found], gate[found])
             self._revision[live[found]] = revision[live[found]]
@@ -207,9 +207,9 @@ class ConformalPredictor:
 
     def refit(self, slots: IndexArray) -> None:
         """Fit where enough new samples have come, and where there are enough for the first time."""
-        new = ~self._waiting.fitted[slots]
+        new = ~self._pending.fitted[slots]
         if not self.frozen:
-            new |= self._stale[slots]
+            new |= self._outdated[slots]
         if new.any():
             self._begin(slots[new])
         if self.frozen or new.all():
@@ -220,54 +220,56 @@ class ConformalPredictor:
             return
         count = self._window.count[slots]
         # What leaves the sums must still be there to be computed.
-        lost = self._model.oldest[slots] < count - self._window.size + self._terms.reach
+        lost = self._model.oldest[slots] < count - self._window.size + self._spec.reach
         renewed = lost | (count >= self._renewal[slots]) | ~np.isfinite(self._record.margin[slots]).all(axis=(1, 2))
         if not renewed.all():
             carried = slots[~renewed]
             outgrown = np.empty(len(carried), dtype=bool)
-            fitting.carry_on(self._samples(), self._window.count, carried, self._model, self._terms, outgrown)
+            fitting.carry_on(self._samples(), self._window.count, carried, self._model, self._spec, outgrown)
             self._solved[carried] = self._on_grid(carried)
             self._renewal[carried[outgrown]] = self._window.count[carried[outgrown]]
         if renewed.any():
             self._renew(slots[renewed])
 
     def _renew(self, slots: IndexArray) -> None:
-        """Fit vehicles anew that have a model; those of which too little is left lose it."""
+        """Refit vehicles that have a model; those with too few data left lose it."""
         poor = self._data(slots) < self.least
-        self._waiting.fitted[slots[poor]] = False
+        self._pending.fitted[slots[poor]] = False
         slots = slots[~poor]
         # The ridge is chosen anew until half of a full window has been seen at once, and the record filled up until
         # there are enough predictions that turned out.
-        few = self._record.known[slots].min(axis=(1, 2)) < min(LEAST_BEYOND / (1 - self._confidence), self._room // 2)
-        self._fit(slots, few | (self._chosen_on[slots] < self._room // 2))
+        few = self._record.known[slots].min(axis=(1, 2)) < min(
+            LEAST_BEYOND / (1 - self._confidence), self._capacity // 2
+        )
+        self._fit(slots, few | (self._chosen_on[slots] < self._capacity // 2))
         self._renewal[slots] = self._window.count[slots] + self._period(slots)
 
     def _begin(self, slots: IndexArray) -> None:
-        """The first models of some vehicles, or the first after all has moved in their windows."""
+        """Fit the first models of some vehicles, or the first after their windows have changed as a whole."""
         data = self._data(slots)
-        self._waiting.fitted[slots] = False
+        self._pending.fitted[slots] = False
         slots = slots[data >= self.least]
         if not len(slots):
             return
         for slot in slots.tolist():
             self._record.codes[slot] = 0
             self._model.scale[slot] = 0.0
-            self._waiting.number[slot] = self._waiting.last_number[slot] = -1
+            self._pending.number[slot] = self._pending.last_number[slot] = -1
         columns = self._window.columns()
         newest = columns.x[slots, (self._window.count[slots] - 1) % self._window.size]
         self._checksum[slots] = [zlib.crc32(state.tobytes()) for state in newest]
-        self._waiting.seen[slots] = self._window.count[slots]
+        self._pending.seen[slots] = self._window.count[slots]
         self._fit(slots, np.ones(len(slots), dtype=bool))
-        self._waiting.fitted[slots] = True
-        self._stale[slots] = False
+        self._pending.fitted[slots] = True
+        self._outdated[slots] = False
         period = self._period(slots)
         self._renewal[slots] = self._window.count[slots] + period + self._checksum[slots] % period
 
     def _fit(self, slots: IndexArray, fill: BoolArray) -> None:
         """Models and sizes of some vehicles from all of their windows."""
         samples, count = self._samples(), self._window.count
-        fitting.fit(samples, count, slots, fill, self._model, self._record, self._terms)
-        resize(samples, count, slots, self._record, self._terms, self._plane, self._confidence)
+        fitting.fit(samples, count, slots, fill, self._model, self._record, self._spec)
+        resize(samples, count, slots, self._record, self._spec, self._plane, self._confidence)
         self._chosen_on[slots] = np.where(fill, self._model.data[slots], self._chosen_on[slots])
         self._solved[slots] = self._on_grid(slots)
 
@@ -278,36 +280,36 @@ class ConformalPredictor:
         return on_grid
 
     def _period(self, slots: IndexArray) -> IntArray:
-        """Samples (B,) after which all is fitted anew: a window, when its record shows nothing but what turned out;
-        half as many as there were while there were few."""
+        """Samples (B,) after which a model is fitted from scratch: a window, after which the record holds only scores
+        of real predictions; half as many as there were while there were few."""
         data = self._model.data[slots]
-        return np.where(data < self._room // 2, np.maximum(data, self.least) // 2, self._span)
+        return np.where(data < self._capacity // 2, np.maximum(data, self.least) // 2, self._span)
 
     def _data(self, slots: IndexArray) -> IntArray:
         """How many data the windows (B,) hold."""
         data = np.empty(len(slots), dtype=np.int64)
-        fitting.count_usable(self._samples(), self._window.count, slots, self._terms, data)
+        fitting.count_usable(self._samples(), self._window.count, slots, self._spec, data)
         return data
 
     def ready(self, slots: IndexArray) -> BoolArray:
         """Which vehicles (B,) have a model, and scores enough for their margins."""
-        return np.asarray(self._waiting.fitted[slots] & np.isfinite(self._record.margin[slots]).all(axis=(1, 2)))
+        return np.asarray(self._pending.fitted[slots] & np.isfinite(self._record.margin[slots]).all(axis=(1, 2)))
 
     def known(self, slots: IndexArray) -> BoolArray:
         """Of which vehicles (B,) the newest sample has all that its features look back to."""
         complete = np.empty(len(slots), dtype=bool)
-        known_now(self._samples(), self._window.count, slots, self._terms, complete)
+        known_now(self._samples(), self._window.count, slots, self._spec, complete)
         return complete
 
     def missing(self, slots: IndexArray) -> IntArray:
         """How many samples more (B,) the vehicles need if none is lost; 0 where they have a model and margins."""
         missing = np.zeros(len(slots), dtype=np.int64)
-        waiting = np.flatnonzero(~self.ready(slots))
-        if len(waiting):
-            slots = slots[waiting]
+        pending = np.flatnonzero(~self.ready(slots))
+        if len(pending):
+            slots = slots[pending]
             # A sample is a datum when it has a past of ``reach`` samples and a future of N.
-            links = self._terms.reach + self._terms.horizon
-            missing[waiting] = np.maximum(samples_missing(self._window, slots, self._data(slots), self.least, links), 1)
+            links = self._spec.reach + self._spec.horizon
+            missing[pending] = np.maximum(samples_missing(self._window, slots, self._data(slots), self.least, links), 1)
         return missing
 
     def fastest(self, slots: IndexArray) -> FloatArray:
@@ -319,23 +321,23 @@ class ConformalPredictor:
     ) -> Boxes:
         """Sets of vehicles (B,) that are ``ready`` and ``known``, from their newest samples.
 
-        ``plan`` (B, N - 1, m) are the later inputs, where they enter the model. What is remembered is scored when the
-        samples come. ``bounds`` are what the profile states of the states ahead. Raises ``UsageError`` where a plan is
-        needed and none is given.
+        ``plan`` (B, N - 1, m) are the later inputs, where they enter the model. With ``remember`` the predictions are
+        scored when the samples come. ``bounds`` are what the profile states of the states ahead. Raises ``UsageError``
+        where a plan is needed and none is given.
         """
-        terms = self._terms
-        if terms.planned and plan is None:
+        spec = self._spec
+        if spec.planned and plan is None:
             raise UsageError("the later inputs enter the model: give a plan")
-        later = np.zeros((0, 0, terms.m)) if plan is None else np.ascontiguousarray(plan, dtype=np.float64)
-        center, half = (np.empty((len(slots), terms.horizon, terms.n)) for _ in range(2))
-        generators = np.zeros((len(slots), terms.horizon, terms.n, terms.n))
-        unseen = np.zeros((len(slots), terms.n + terms.m), dtype=bool)
+        later = np.zeros((0, 0, spec.m)) if plan is None else np.ascontiguousarray(plan, dtype=np.float64)
+        center, half = (np.empty((len(slots), spec.horizon, spec.n)) for _ in range(2))
+        generators = np.zeros((len(slots), spec.horizon, spec.n, spec.n))
+        unseen = np.zeros((len(slots), spec.n + spec.m), dtype=bool)
         held = np.zeros((len(slots), 2), dtype=bool)
         if bounds is None:
-            bounds = Bounds.none(len(slots), terms.horizon, terms.n)
+            bounds = Bounds.none(len(slots), spec.horizon, spec.n)
         samples, count = self._samples(), self._window.count
         forecast(
-            samples, count, slots, later, self._model, self._record, self._waiting, terms, remember, bounds,
+            samples, count, slots, later, self._model, self._record, self._pending, spec, remember, bounds,
             self._owner, center, half, generators, unseen, held,
         )  # fmt: skip
         return Boxes(center, half, generators, unseen, held)

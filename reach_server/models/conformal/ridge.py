@@ -31,11 +31,11 @@ def standardise(phi: FloatArray, mean: FloatArray, scale: FloatArray, limit: Flo
 
 
 @kernel
-def first_columns(terms: FeatureSpec) -> IntArray:
+def first_columns(spec: FeatureSpec) -> IntArray:
     """Where the columns of the steps begin that use each feature (total,)."""
-    begin = np.zeros(terms.total, dtype=np.int64)
-    for j in range(terms.base, terms.total):
-        begin[j] = terms.n * ((j - terms.base) // terms.later + 1)
+    begin = np.zeros(spec.total, dtype=np.int64)
+    for j in range(spec.base, spec.total):
+        begin[j] = spec.n * ((j - spec.base) // spec.later + 1)
     return begin
 
 

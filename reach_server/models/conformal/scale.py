@@ -91,25 +91,25 @@ def resize(
     count: IntArray,
     slots: IntArray,
     record: ScoreHistory,
-    terms: FeatureSpec,
+    spec: FeatureSpec,
     plane: BoolArray,
     confidence: float,
 ) -> None:
     """Fit the sizes of vehicles (B,) to the errors on record, and score these anew; ``plane`` (n,) marks positions."""
-    places, n = samples.t.shape[1], terms.n
-    origin, row = np.empty(places, dtype=np.int64), np.empty(places, dtype=np.int64)
-    phi, psi = np.empty((places, terms.total)), np.empty((places, terms.sizes))
-    magnitude, score = np.empty((places, n)), np.empty((places, terms.groups))
-    scored = np.empty((terms.groups, places, terms.horizon))
+    indices, n = samples.t.shape[1], spec.n
+    origin, row = np.empty(indices, dtype=np.int64), np.empty(indices, dtype=np.int64)
+    phi, psi = np.empty((indices, spec.total)), np.empty((indices, spec.sizes))
+    magnitude, score = np.empty((indices, n)), np.empty((indices, spec.groups))
+    scored = np.empty((spec.groups, indices, spec.horizon))
     for slot in slots:
-        rows = _origins(samples, count[slot], slot, terms, origin, phi)
+        rows = _origins(samples, count[slot], slot, spec, origin, phi)
         scored[:] = np.nan
-        for h in range(terms.horizon):
+        for h in range(spec.horizon):
             known = 0
             for k in range(rows):
-                codes = record.codes[slot, (origin[k] + h + 1) % places, h]
+                codes = record.codes[slot, (origin[k] + h + 1) % indices, h]
                 if origin[k] + h + 1 < count[slot] and codes[0] > 0:
-                    size_regressors(phi[k], h, terms, psi[known])
+                    size_regressors(phi[k], h, spec, psi[known])
                     for i in range(n):
                         magnitude[known, i] = decoded(codes[i])
                     row[known] = k
@@ -119,29 +119,29 @@ def resize(
                 continue
             _clip(psi[:known], record.clip[slot, h])
             _fit_step(
-                psi[:known], magnitude[:known], plane, terms.planar, confidence, record.shape[slot, h], score[:known]
+                psi[:known], magnitude[:known], plane, spec.planar, confidence, record.shape[slot, h], score[:known]
             )
             for k in range(known):
-                for g in range(terms.groups):
-                    scored[g, (origin[row[k]] + h + 1) % places, h] = score[k, g]
-        for g in range(terms.groups):
+                for g in range(spec.groups):
+                    scored[g, (origin[row[k]] + h + 1) % indices, h] = score[k, g]
+        for g in range(spec.groups):
             _record(
                 scored[g], count[slot], record.scores[slot, g], record.known[slot, g], record.limits[slot, g],
-                record.ratio[slot, g], confidence, g, terms.groups,
+                record.ratio[slot, g], confidence, g, spec.groups,
             )  # fmt: skip
         renew_margins(record.known[slot], record.limits[slot], record.ratio[slot], record.margin[slot], confidence)
 
 
 @kernel
-def _origins(samples: Samples, count: int, slot: int, terms: FeatureSpec, origin: IntArray, phi: FloatArray) -> int:
+def _origins(samples: Samples, count: int, slot: int, spec: FeatureSpec, origin: IntArray, phi: FloatArray) -> int:
     """Numbers ``origin`` (S,) and features ``phi`` (S, total) of the samples whose features can still be computed; how
     many."""
     t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
     run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
     found = 0
-    for number in range(max(0, count - len(t) + terms.reach), count - 1):
-        if complete(run, known, number, terms) and clean(gated, number, 0, terms):
-            recorded(t, x, u, number, terms, phi[found])
+    for number in range(max(0, count - len(t) + spec.reach), count - 1):
+        if complete(run, known, number, spec) and clean(gated, number, 0, spec):
+            recorded(t, x, u, number, spec, phi[found])
             origin[found] = number
             found += 1
     return found
@@ -258,19 +258,19 @@ def _record(
     groups: int,
 ) -> None:
     """Put scores (S, N), NaN where not known, in the place of all others, with the limits that follow from them."""
-    places, steps = scored.shape
+    indices, steps = scored.shape
     known[:] = 0
-    for place in range(places):
+    for index in range(indices):
         for h in range(steps):
-            scores[place, h] = encoded_score(scored[place, h])
-            known[h] += int(not math.isnan(scored[place, h]))
+            scores[index, h] = encoded_score(scored[index, h])
+            known[h] += int(not math.isnan(scored[index, h]))
     for h in range(steps):
         limits[h] = rank_statistic(scores, known[h], h, confidence, group, groups)
         ratio[h] = max(limits[h], LEAST_RATIO) if limits[h] < math.inf else 1.0
     if len(limits) > steps:
         scores[:, steps] = 0
-        for number in range(max(steps, count - places + steps), count):
+        for number in range(max(steps, count - indices + steps), count):
             score = tube_score(scores, ratio, number)
-            scores[number % places, steps] = encoded_score(score)
+            scores[number % indices, steps] = encoded_score(score)
             known[steps] += int(not math.isnan(score))
         limits[steps] = rank_statistic(scores, int(known[steps]), steps, confidence, group, groups)

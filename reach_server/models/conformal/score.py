@@ -116,15 +116,15 @@ def rank_statistic(scores: Scores, known: int, kind: int, confidence: float, gro
 
 @kernel
 def write(
-    scores: Scores, known: IntArray, limits: FloatArray, place: int, kind: int, score: float, confidence: float,
+    scores: Scores, known: IntArray, limits: FloatArray, index: int, kind: int, score: float, confidence: float,
     group: int, groups: int,
 ) -> None:  # fmt: skip
     """Put a score (NaN: none) of a group in the place of another, and correct the rank statistic."""
-    before, after = scores[place, kind], encoded_score(score)
+    before, after = scores[index, kind], encoded_score(score)
     had, has = before > 0, after > 0
     if not had and not has:
         return
-    scores[place, kind] = after
+    scores[index, kind] = after
     rank = rank_of_group(known[kind], confidence, group, groups)
     known[kind] += int(has) - int(had)
     limit = limits[kind]

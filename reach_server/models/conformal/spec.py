@@ -85,23 +85,23 @@ class FeatureSpec(NamedTuple):
         )  # fmt: skip
 
 
-def owners(profile: VehicleProfile, layout: RegressorSpec, terms: FeatureSpec) -> IntArray:
+def owners(profile: VehicleProfile, layout: RegressorSpec, spec: FeatureSpec) -> IntArray:
     """The state (from 0) or input (from n) that each feature (total,) tells of, -1 for the constant. Products belong to
     the steering, and those of the speed and the yaw rate to the heading or, where that has no part, to the speed."""
-    n, m = terms.n, terms.m
+    n, m = spec.n, spec.m
     found = [-1]
     for i in layout.free:
         found += [i] * (1 + (i in layout.angles))
-    found += list(range(n)) * terms.increments
-    found += list(range(n, n + m)) * (terms.lags + 1)
-    if terms.speed >= 0:
-        if terms.heading >= 0:
-            found += [terms.heading, terms.speed, terms.heading, terms.heading]
-        if terms.steering >= 0:
-            found += [n + terms.steering] * (terms.lags + 1)
-    later = [*range(n, n + m), *([n + terms.steering] if terms.steering >= 0 else [])]
-    if terms.planned:
-        found += later * (terms.horizon - 1)
+    found += list(range(n)) * spec.increments
+    found += list(range(n, n + m)) * (spec.lags + 1)
+    if spec.speed >= 0:
+        if spec.heading >= 0:
+            found += [spec.heading, spec.speed, spec.heading, spec.heading]
+        if spec.steering >= 0:
+            found += [n + spec.steering] * (spec.lags + 1)
+    later = [*range(n, n + m), *([n + spec.steering] if spec.steering >= 0 else [])]
+    if spec.planned:
+        found += later * (spec.horizon - 1)
     return np.array(found, dtype=np.int64)
 
 

@@ -75,10 +75,10 @@ class PendingPredictions(NamedTuple):
 
 
 def empty(
-    terms: FeatureSpec, places: int, groups: int, *, tube: bool
+    spec: FeatureSpec, indices: int, groups: int, *, tube: bool
 ) -> tuple[Model, ScoreHistory, PendingPredictions]:
-    """Arrays for no vehicle yet, with a ring of ``places`` and so many groups of states."""
-    f, n, steps, columns = terms.total, terms.n, terms.horizon, terms.horizon * terms.n
+    """Arrays for no vehicle yet, with a ring of ``indices`` and so many groups of states."""
+    f, n, steps, columns = spec.total, spec.n, spec.horizon, spec.horizon * spec.n
     kinds = steps + int(tube)
 
     def real(*shape: int) -> FloatArray:
@@ -89,20 +89,20 @@ def empty(
 
     model = Model(
         mean=real(f), scale=real(f), limit=real(f), gram=real(f, f), cross=real(f, columns), matrix=real(f, columns),
-        data=whole(), oldest=whole(), newest=whole(), ridge=real(), low=real(n + terms.m), high=real(n + terms.m),
+        data=whole(), oldest=whole(), newest=whole(), ridge=real(), low=real(n + spec.m), high=real(n + spec.m),
     )  # fmt: skip
     record = ScoreHistory(
-        codes=np.zeros((0, places, steps, n), dtype=np.uint16),
-        scores=np.zeros((0, groups, places, kinds), dtype=np.uint16),
+        codes=np.zeros((0, indices, steps, n), dtype=np.uint16),
+        scores=np.zeros((0, groups, indices, kinds), dtype=np.uint16),
         known=whole(groups, kinds), limits=real(groups, kinds),
-        shape=real(steps, terms.sizes, n), clip=real(steps, terms.sizes),
+        shape=real(steps, spec.sizes, n), clip=real(steps, spec.sizes),
         margin=real(groups, steps), ratio=real(groups, steps), fastest=real(n),
     )  # fmt: skip
-    waiting = PendingPredictions(
+    pending = PendingPredictions(
         number=whole(steps), center=real(steps, steps, n), size=real(steps, steps, n), angle=real(steps),
         last=real(n), last_number=whole(), seen=whole(), glitches=whole(), fitted=np.zeros(0, dtype=bool),
     )  # fmt: skip
-    return model, record, waiting
+    return model, record, pending
 
 
 def grown(arrays: Any, slots: int) -> Any:

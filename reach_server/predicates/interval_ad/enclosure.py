@@ -20,7 +20,7 @@ _TIME_ULPS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Jet:
+class TaylorEnclosure:
     """Bounds over R boxes of h (R,), its gradient (R, s) and Hessian (R, s, s); all of them infinite where h is not
     defined on the whole box. ``smooth`` (R,): h is twice continuously differentiable on the box where the bounds of
     its derivatives are finite."""
@@ -30,17 +30,17 @@ class Jet:
     hessian: Bounds
     smooth: BoolArray
 
-    def __getitem__(self, rows: "slice | BoolArray | NDArray[np.intp]") -> "Jet":
-        return Jet(
+    def __getitem__(self, rows: "slice | BoolArray | NDArray[np.intp]") -> "TaylorEnclosure":
+        return TaylorEnclosure(
             _rows(self.value, rows), _rows(self.gradient, rows), _rows(self.hessian, rows), self.smooth[rows]
         )  # fmt: skip
 
-    def __neg__(self) -> "Jet":
-        return Jet(_negated(self.value), _negated(self.gradient), _negated(self.hessian), self.smooth)
+    def __neg__(self) -> "TaylorEnclosure":
+        return TaylorEnclosure(_negated(self.value), _negated(self.gradient), _negated(self.hessian), self.smooth)
 
 
 class PredicateFunction:
-    """h as a function of the s states at ``places``, of time and of what was received last.
+    """h as a function of the s states at ``coordinates``, of time and of what was received last.
 
     ``affine``: its Hessian is zero; ``quadratic``: its Hessian is constant and h depends on states alone; ``timed``:
     it depends on time; ``everywhere``: it is defined whatever the state is.
@@ -48,7 +48,7 @@ class PredicateFunction:
 
     def __init__(self, expression: Expression, index: Mapping[str, int]) -> None:
         graph = symbolic(expression, index)
-        self.places = graph.places
+        self.coordinates = graph.coordinates
         self._given = graph.given
         numbers = np.array(graph.numbers, dtype=np.float64).reshape(-1, 1)
         self._numbers = numbers, numbers
@@ -63,22 +63,22 @@ class PredicateFunction:
     @property
     def dimension(self) -> int:
         """How many states s it depends on."""
-        return len(self.places)
+        return len(self.coordinates)
 
     def given(self, context: Context, rows: int, margin: float | None) -> Bounds:
         """Bounds (q, R) of what the context gives; of all times within ``margin`` seconds, None: as stated."""
         low, high = np.empty((len(self._given), rows)), np.empty((len(self._given), rows))
-        for place, what in enumerate(self._given):
+        for index, what in enumerate(self._given):
             if isinstance(what, int):
-                low[place], high[place] = context.last_lower[:, what], context.last_upper[:, what]
+                low[index], high[index] = context.last_lower[:, what], context.last_upper[:, what]
             elif what == "k":
-                low[place] = high[place] = context.k
+                low[index] = high[index] = context.k
             else:
                 time = context.t if what == "t" else context.last_t
                 off = 0.0 if margin is None else _TIME_ULPS * EPS * (np.abs(context.t) + np.abs(context.last_t))
                 # Motion moves the time that the predicate speaks about, not that of the last sample.
                 off = off + context.t_slack + (margin if margin is not None and what == "t" else 0.0)
-                low[place], high[place] = add_down(time, -off), add_up(time, off)
+                low[index], high[index] = add_down(time, -off), add_up(time, off)
         return low, high
 
     def values(self, lower: FloatArray, upper: FloatArray, given: Bounds) -> Bounds:
@@ -88,7 +88,7 @@ class PredicateFunction:
         known = self._defined(domain)
         return np.where(known, low, -np.inf), np.where(known, high, np.inf)
 
-    def jet(self, lower: FloatArray, upper: FloatArray, given: Bounds, *, curved: bool = True) -> Jet:
+    def enclosure(self, lower: FloatArray, upper: FloatArray, given: Bounds, *, curved: bool = True) -> TaylorEnclosure:
         """h and its derivatives over boxes (R, s); without the Hessian (its bounds are infinite) if not ``curved``."""
         tape = self._curves if curved else self._slopes
         value, domain, gradient, *hessian = tape((lower.T, upper.T), self._numbers, given)
@@ -100,15 +100,15 @@ class PredicateFunction:
             low, high = (b.T.reshape(rows, s, s) for b in (hessian[0].lower, hessian[0].upper))
             # Both triangles bound the same numbers.
             second = np.maximum(low, np.swapaxes(low, 1, 2)), np.minimum(high, np.swapaxes(high, 1, 2))
-        return Jet(
+        return TaylorEnclosure(
             _unless(~known, (value.lower[0], value.upper[0])), _unless(~known, first), _unless(~known, second),
             value.smooth & known,
         )  # fmt: skip
 
     def _defined(self, domain: Enclosure) -> BoolArray:
         known = np.ones(domain.lower.shape[1], dtype=bool)
-        for place, demand in enumerate(self._demands):
-            low, high = domain.lower[place], domain.upper[place]
+        for index, demand in enumerate(self._demands):
+            low, high = domain.lower[index], domain.upper[index]
             if demand == "nonzero":
                 known &= ~holds_zero((low, high))
             else:

@@ -35,7 +35,7 @@ _MOST_FACTORS: Final = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symbolic:
-    """``value`` over symbols: ``states`` at ``places`` of the state vector, ``constants`` with ``numbers``, and
+    """``value`` over symbols: ``states`` at ``coordinates`` of the state vector, ``constants`` with ``numbers``, and
     ``context`` symbols that stand for ``given``.
 
     The numbers of the expression are symbols, too: so CasADi never rounds one while it simplifies, and what is left to
@@ -44,7 +44,7 @@ class Symbolic:
 
     value: casadi.SX
     states: casadi.SX
-    places: tuple[int, ...]
+    coordinates: tuple[int, ...]
     constants: casadi.SX
     numbers: tuple[float, ...]
     context: casadi.SX

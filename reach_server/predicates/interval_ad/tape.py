@@ -154,9 +154,9 @@ class Tape:
         self._slots = function.sz_w()
         self._sizes = [function.nnz_out(i) for i in range(function.n_out())]
         depends = [False] * self._slots
-        for place in range(function.n_instructions()):
-            code = function.instruction_id(place)
-            operands, results = function.instruction_input(place), function.instruction_output(place)
+        for index in range(function.n_instructions()):
+            code = function.instruction_id(index)
+            operands, results = function.instruction_input(index), function.instruction_output(index)
             if code == casadi.OP_INPUT:
                 self._steps.append(("input", len(self._inputs)))
                 self._inputs.append((results[0], operands[0], operands[1]))
@@ -166,7 +166,7 @@ class Tape:
                 self._outputs.append((operands[0], results[0], results[1]))
             elif code == casadi.OP_CONST:
                 self._steps.append(("constant", len(self._constants)))
-                self._constants.append((results[0], function.instruction_constant(place)))
+                self._constants.append((results[0], function.instruction_constant(index)))
                 depends[results[0]] = False
             else:
                 self._steps.append(_instruction(code, tuple(operands), results[0], depends))
@@ -218,7 +218,7 @@ def _instruction(code: int, operands: Sequence[int], result: int, depends: Seque
     if code == casadi.OP_MUL and operands[0] == operands[1]:
         operation, operands = _OPERATIONS[casadi.OP_SQ], operands[:1]
     watched = operation.kinked is not None and any(
-        depends[o] for place, o in enumerate(operands) if place in operation.watched
+        depends[o] for index, o in enumerate(operands) if index in operation.watched
     )
     return _Instruction(operation, tuple(operands), result, watched, code == casadi.OP_IF_ELSE_ZERO)
 

@@ -90,15 +90,15 @@ def test_a_reset_forgets_the_vehicle_and_no_other() -> None:
     record = made(2)
     for k in range(20):
         check(record, [0, 1], k, [9.0, 0.0])
-    record.doubted[0] = 5
-    record.falsified[0] = True
+    record.unexplained[0] = 5
+    record.refuted[0] = True
     assert record.outside[:2].tolist() == [True, False]
     record.reset(0)
     assert record.audit(0) == Audit()
     assert record.audit(1) == Audit(20, 20, 0.0, 20, 20, binomial_band(20, 0.01, 0.9999))
     assert not record.outside.any()
-    assert not record.falsified.any()
-    assert not record.doubted
+    assert not record.refuted.any()
+    assert not record.unexplained
     check(record, [0], 20, [0.0])
     assert record.audit(0) == Audit(1, 1, 0.0, 1, 1, 1)
 
@@ -127,7 +127,7 @@ def test_only_a_jump_beyond_all_bounds_is_no_check() -> None:
         misses, _ = judge(record, 0, x, jumped=jumped)
         assert record.audit(0).checked == checked, x
         assert bool(misses) is (checked == 1 and abs(x) > 1), x
-        assert record.falsified[0] == (bool(misses) and alpha == 0.0)
+        assert record.refuted[0] == (bool(misses) and alpha == 0.0)
         rows, _ = record.predictions.prior(np.array([0]), *(np.ones((2, 1), dtype=np.uint64)))
         assert len(rows) == checked, "what was no check cuts no received state either"
 
@@ -143,7 +143,7 @@ def test_a_refuted_bound_is_believed_after_a_span_that_doubles() -> None:
         k += 3
         back = [judge(record, k + i, 0.0, jumped=False)[1] for i in range(wanted)]
         assert back == [[]] * (wanted - 1) + [[0]]
-        assert not record.falsified[0]
+        assert not record.refuted[0]
         k += wanted
 
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
+from reach_server.data.continuity import LEAST_LINKS, SEEN_CHANGE
 from reach_server.data.leaps import LATE_BATCHES, PACE, RESYNC, SPARE
 from reach_server.data.regressors import runs, wrap
-from reach_server.data.ring_buffer import LEAST_LINKS, SEEN_CHANGE
 from reach_server.data.window import AppendReport, SampleBatch, Window
 from reach_server.numeric.types import FloatArray
 from tests.examples import examples
@@ -289,7 +289,7 @@ def test_a_pose_repeated_while_moving_is_no_transition() -> None:
     batch = circle(4, 60)
     held = moved(batch, 0, np.r_[w.block(ALL, 1).x[0, 0, :3], 1.0])
     held = moved(held, 1, held.x[0])
-    assert w.append(held) == AppendReport(4, stale=2)
+    assert w.append(held) == AppendReport(4, frozen_pose=2)
     assert run_of(w)[58:] == [58, 59, 0, 0, 0, 1]
 
 

@@ -28,12 +28,12 @@ def test_calibrated_sets_are_cut_only_where_the_measurement_noise_is_stated(stat
     readings = list(islice(iter(SimulatedSource(load_route("parking-lot"), 3)), 1024 + 800))
     samples = [StateSample(1, i, START + r.t, r.measured, r.u, r.flags) for i, r in enumerate(readings)]
     engine.append(SampleBatch.of(slot, samples[:1500]))
-    acted = 0
+    active = 0
     for sample in samples[1500:1700]:
         tubes = engine.step(SampleBatch.of(slot, [sample]))
         assert not tubes.events
-        acted += bool(tubes.cuts[0])
+        active += bool(tubes.cuts[0])
         smaller = (tubes.area < tubes.area_free).any()
         assert bool(tubes.cuts[0]) or not smaller
         np.testing.assert_array_less(tubes.area, tubes.area_free * (1 + 1e-9))
-    assert (acted > 0) == stated
+    assert (active > 0) == stated

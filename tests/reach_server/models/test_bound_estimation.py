@@ -34,13 +34,13 @@ def excesses(
     data: Transitions, layout: RegressorSpec, matrix: FloatArray, z_v: FloatArray, found: ConsistentBounds
 ) -> FloatArray:
     """By how much (V, n) the worst pair of kept data exceeds the bounds: all pairs, one by one."""
-    gated = Transitions(data.z, data.target, found.kept, data.newest)
+    gated = Transitions(data.z, data.target, found.retained, data.newest)
     residual = data.target - apply(matrix, data.z)
     z_noise = np.concatenate([z_v[list(layout.free)], np.zeros(layout.regressors - len(layout.free))])
     added = noise_added(gated, layout, matrix, z_v)
     worst = []
-    for v, kept in enumerate(found.kept):
-        r, z = residual[v, kept], data.z[v, kept]
+    for v, retained in enumerate(found.retained):
+        r, z = residual[v, retained], data.z[v, retained]
         distance = np.abs(z[:, None] - z[None]) + 2 * z_noise
         allowed = 2 * (found.w + added[v]) + distance @ found.slope.T
         worst.append((np.abs(r[:, None] - r[None]) - allowed).max(axis=(0, 1)))
@@ -55,8 +55,8 @@ def test_no_pair_contradicts_the_bounds_and_none_would_do_with_less(name: str) -
     found = consistent_bounds(data, layout, matrix, z_v)
     size = np.ptp(data.target[0][data.usable[0]], axis=0)
     assert (excesses(data, layout, matrix, z_v, found) <= 1e-9 * size).all()
-    tighter = ConsistentBounds(0.9 * found.w, 0.9 * found.slope, found.kept)
-    residual = (data.target - apply(matrix, data.z))[0][found.kept[0]]
+    tighter = ConsistentBounds(0.9 * found.w, 0.9 * found.slope, found.retained)
+    residual = (data.target - apply(matrix, data.z))[0][found.retained[0]]
     binding = (found.w > 1e-6 * size) | (found.slope > 1e-6).any(axis=1)
     missed = excesses(data, layout, matrix, z_v, tighter)[0] > 1e-6 * np.ptp(residual, axis=0)
     assert binding.any()
@@ -70,12 +70,12 @@ def test_set_membership_is_not_contradicted_by_the_data_that_the_bounds_are_from
     data, layout, z_v = data_of(system)
     matrix, _ = least_squares(data)
     found = consistent_bounds(data, layout, matrix, z_v)
-    gated = Transitions(data.z, data.target, found.kept, data.newest)
+    gated = Transitions(data.z, data.target, found.retained, data.newest)
     bounds = NoiseBounds(np.diag(found.w), np.diag(z_v))
     model = fit(gated, layout, bounds, Lipschitz(matrix=found.slope.tolist(), of="residual"))
     np.testing.assert_allclose(model.matrix, matrix, atol=1e-9 * np.abs(matrix).max())
     rng = np.random.default_rng(0)
-    span = np.ptp(data.z[0][found.kept[0]], axis=0)
+    span = np.ptp(data.z[0][found.retained[0]], axis=0)
     for share in (0.0, 0.5, 3.0):
         center = data.z[0][rng.integers(0, 150)] + share * span * rng.normal(size=len(span))
         sets = residual_set(model, center[None], np.zeros((1, len(span))), membership=True)
@@ -87,13 +87,13 @@ def test_the_linear_program_finds_what_one_over_all_pairs_finds() -> None:
     data, layout, z_v = data_of(KNOWN["kink"], samples=45)
     matrix, _ = least_squares(data)
     found = consistent_bounds(data, layout, matrix, z_v)
-    kept = found.kept[0]
-    z, residual = data.z[0, kept], (data.target - apply(matrix, data.z))[0, kept]
+    retained = found.retained[0]
+    z, residual = data.z[0, retained], (data.target - apply(matrix, data.z))[0, retained]
     z_noise = np.concatenate([z_v[list(layout.free)], np.zeros(layout.regressors - len(layout.free))])
     weight = 1 / np.ptp(z, axis=0)
     others = np.where(np.eye(len(z), dtype=bool), np.inf, (np.abs(z[:, None] - z[None]) * weight).sum(axis=2)).argmin(1)
     costs = np.append(1.0, np.abs(z - z[others]).mean(axis=0) + 2 * z_noise)
-    added = noise_added(Transitions(data.z, data.target, found.kept, data.newest), layout, matrix, z_v)[0]
+    added = noise_added(Transitions(data.z, data.target, found.retained, data.newest), layout, matrix, z_v)[0]
     j, k = np.triu_indices(len(z), 1)
     rows = np.column_stack([np.full(len(j), 2.0), np.abs(z[j] - z[k]) + 2 * z_noise])
     for i in range(layout.n):
@@ -109,7 +109,7 @@ def test_bounds_of_a_known_system_are_found_again() -> None:
     data, layout, z_v = data_of(linear(), samples=1000)
     matrix, _ = least_squares(data)
     found = consistent_bounds(data, layout, matrix, z_v)
-    assert found.kept.sum() == data.usable.sum()
+    assert found.retained.sum() == data.usable.sum()
     np.testing.assert_allclose(found.w, 0.01, rtol=0.1)
     assert (found.slope < 0.01).all()
     lower, upper = found.derivatives(matrix)
@@ -141,7 +141,7 @@ def test_outliers_are_gated_and_nothing_else() -> None:
     wrecked = Transitions(data.z, target, data.usable, data.newest)
     matrix, _ = least_squares(data)
     found = consistent_bounds(wrecked, layout, matrix, z_v)
-    np.testing.assert_array_equal(np.flatnonzero(data.usable[0] & ~found.kept[0]), wrong)
+    np.testing.assert_array_equal(np.flatnonzero(data.usable[0] & ~found.retained[0]), wrong)
     clean = consistent_bounds(data, layout, matrix, z_v)
     np.testing.assert_allclose(found.w, clean.w, rtol=0.05)
 

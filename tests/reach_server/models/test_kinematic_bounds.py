@@ -75,9 +75,9 @@ def test_the_bounds_are_those_that_a_vehicle_can_reach() -> None:
     low, high = boxes(profile(), x)
     t = DT * np.arange(1, N + 1)
     # 1 m/s at most now, 2 m/s after a quarter of a second.
-    way = np.where(t <= 0.25, t + 2 * t**2, 0.25 + 2 * 0.25**2 + 2 * (t - 0.25))
-    np.testing.assert_allclose(high[0, :, 0], 1.05 + way, rtol=1e-8)
-    np.testing.assert_allclose(low[0, :, 1], 1.95 - way, rtol=1e-8)
+    distance = np.where(t <= 0.25, t + 2 * t**2, 0.25 + 2 * 0.25**2 + 2 * (t - 0.25))
+    np.testing.assert_allclose(high[0, :, 0], 1.05 + distance, rtol=1e-8)
+    np.testing.assert_allclose(low[0, :, 1], 1.95 - distance, rtol=1e-8)
     np.testing.assert_allclose(high[0, :, 2], 3.02 + 2 * t, rtol=1e-8)
     np.testing.assert_allclose(high[0, :, 3], np.minimum(1.0 + 4 * t, 2), rtol=1e-8)
     np.testing.assert_allclose(low[0, :, 3], np.maximum(0.8 - 4 * t, -1), atol=1e-8)

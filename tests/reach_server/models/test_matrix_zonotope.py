@@ -73,7 +73,7 @@ def test_the_product_is_that_with_every_generator_of_the_matrix_zonotope(seed: i
     made = [np.outer(g, row) for g in models.noise[0].T for row in inverse]
     start = RawSets.zonotope(rng.normal(size=(1, n)), 0.3 * rng.normal(size=(1, n, 4)))
     inputs = InputSets(np.zeros((1, 0, m)), rng.normal(size=(1, 1, m)), rng.uniform(0, 1, (1, 1, m)))
-    motion = LinearMotion(inputs, models, bounds.process, layout, kept_generators=500)
+    motion = LinearMotion(inputs, models, bounds.process, layout, retained_generators=500)
     rows = np.arange(1)
     found, _ = motion.advance(motion.begin(start, rows), 0, rows)
     center = np.concatenate([start.center[0], inputs.center[0, 0]])
@@ -155,7 +155,7 @@ def test_without_noise_the_set_is_the_reachable_one() -> None:
     data = Transitions(z, z @ np.column_stack([A, *B]).T, np.ones((1, 30), dtype=bool), np.zeros((1, 2)))
     models = fit(data, layout, nothing)
     inputs = InputSets(rng.normal(size=(1, 1, 1)), rng.normal(size=(1, 5, 1)), rng.uniform(0, 1, (1, 5, 1)))
-    motion = LinearMotion(inputs, models, nothing.process, layout, kept_generators=100)
+    motion = LinearMotion(inputs, models, nothing.process, layout, retained_generators=100)
     rows = np.arange(1)
     sets = motion.begin(RawSets.zonotope(np.ones((1, 2)), 0.1 * np.eye(2)[None]), rows)
     middle, spread = np.ones(2), np.zeros((2, 2 + 5))

@@ -56,10 +56,10 @@ class Stream:
     def data(self, slot: int = 0) -> tuple[FloatArray, FloatArray]:
         """Regressors and targets that the models hold, oldest first."""
         size, count = self.window.size, int(self.window.count[slot])
-        memory = self.models._memory
-        places = np.arange(count - min(count, size), count) % size
-        places = places[memory.valid[slot, places]]
-        return memory.z[slot][:, places].T, memory.y[slot][:, places].T
+        moments = self.models._stream
+        indices = np.arange(count - min(count, size), count) % size
+        indices = indices[moments.valid[slot, indices]]
+        return moments.z[slot][:, indices].T, moments.y[slot][:, indices].T
 
 
 def expected(stream: Stream, slot: int = 0) -> tuple[FloatArray, FloatArray]:
@@ -132,16 +132,16 @@ def test_moments_and_hull_stay_those_of_the_data(frame: str) -> None:
         if k < 60 or k % 7:
             continue
         z, y = stream.data()
-        memory, store = stream.models._memory, stream.models._store
-        middle = memory.center[0]
+        moments, store = stream.models._stream, stream.models._store
+        middle = moments.center[0]
         both = np.column_stack([np.ones(len(z)), np.concatenate([z, y], axis=1) - middle])
         exact = both[:, : 1 + z.shape[1]].T @ both
-        np.testing.assert_allclose(memory.moments[0], exact, atol=1e-9 * np.abs(exact).max())
+        np.testing.assert_allclose(moments.moments[0], exact, atol=1e-9 * np.abs(exact).max())
         residual = y - apply(store.matrix[:1], z[None])[0]
-        assert (memory.low[0] <= residual.min(axis=0) + 1e-12).all()
-        assert (memory.high[0] >= residual.max(axis=0) - 1e-12).all()
-        assert (memory.largest[0] >= np.abs(np.concatenate([z, y], axis=1)).max(axis=0)).all()
-        assert memory.data[0] == len(z)
+        assert (moments.low[0] <= residual.min(axis=0) + 1e-12).all()
+        assert (moments.high[0] >= residual.max(axis=0) - 1e-12).all()
+        assert (moments.largest[0] >= np.abs(np.concatenate([z, y], axis=1)).max(axis=0)).all()
+        assert moments.data[0] == len(z)
 
 
 @FRAMES
@@ -267,8 +267,8 @@ def test_older_data_that_differs_stays_and_bounds() -> None:
         quiet.x[:, 0] += 0.3 * SVEA.dt * np.arange(130)
         for k in range(130):
             stream.feed(quiet.take(np.array([k])))
-        memory = stream.models._memory
-        assert memory.valid[0, 100:].sum() == rows
+        moments = stream.models._stream
+        assert moments.valid[0, 100:].sum() == rows
         model = stream.models.models(stream.slots, stream.inputs())
         at = np.array([[1.5, *[0.3, 1.5] * 3]])
         found = residual_set(model, at, np.zeros((1, 7)), membership=True)

@@ -25,7 +25,7 @@ def nothing(literal: int, rows: NDArray[np.intp]) -> Context:
     return Context(zero, zero, zero, np.zeros((len(rows), 2)), np.zeros((len(rows), 2)))
 
 
-def blamed(one: RawSets, halves: list[Half], scales: FloatArray) -> list[int]:
+def responsible(one: RawSets, halves: list[Half], scales: FloatArray) -> list[int]:
     """The predicates that are named, each multiplied by its scale."""
     literals = Literals(2, (0, 1), np.zeros((2, 0)))
     for i, ((normal, lower, upper), scale) in enumerate(zip(halves, scales.tolist(), strict=True)):
@@ -58,17 +58,17 @@ FAR: Half = (np.array([1.0, 1.0]), -5.0, 5.0)
 @pytest.mark.parametrize("scale", [1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9])
 @pytest.mark.parametrize("of", [(1, 1, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 0)])
 def test_both_of_two_are_blamed_in_any_units(scale: float, of: tuple[int, int, int]) -> None:
-    assert blamed(SQUARE, [RIGHT, LEFT, FAR], scale ** np.array(of, dtype=float)) == [0, 1]
+    assert responsible(SQUARE, [RIGHT, LEFT, FAR], scale ** np.array(of, dtype=float)) == [0, 1]
 
 
 def test_who_alone_leaves_nothing_is_blamed_alone() -> None:
     for scale in (1e-9, 1.0, 1e9):
-        assert blamed(SQUARE, [RIGHT, (np.array([0.0, 1.0]), 1.5, 2.0)], np.array([1.0, scale])) == [1]
+        assert responsible(SQUARE, [RIGHT, (np.array([0.0, 1.0]), 1.5, 2.0)], np.array([1.0, scale])) == [1]
 
 
 def test_nobody_is_blamed_where_something_is_left() -> None:
     for scale in (1e-9, 1.0, 1e9):
-        assert blamed(SQUARE, [RIGHT, FAR], np.array([1.0, scale])) == []
+        assert responsible(SQUARE, [RIGHT, FAR], np.array([1.0, scale])) == []
 
 
 def test_blame_is_the_same_in_all_units_and_falls_on_those_that_contradict() -> None:
@@ -83,10 +83,10 @@ def test_blame_is_the_same_in_all_units_and_falls_on_those_that_contradict() -> 
             reach = np.abs(normal @ generators).sum()
             low = float(normal @ center + rng.uniform(-0.2, 0.9) * reach)
             halves.append((normal, low, low + float(reach) if rng.random() < 0.3 else INF))
-        usual = blamed(one, halves, np.ones(len(halves)))
+        usual = responsible(one, halves, np.ones(len(halves)))
         assert bool(usual) == contradicts(one, halves)
         assert not usual or contradicts(one, [halves[i] for i in usual])
         found += bool(usual)
         for scales in 10.0 ** rng.uniform(-9, 9, (4, len(halves))):
-            assert blamed(one, halves, scales) == usual, (halves, scales)
+            assert responsible(one, halves, scales) == usual, (halves, scales)
     assert found > examples(150) / 10

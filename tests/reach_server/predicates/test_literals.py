@@ -58,7 +58,7 @@ def test_no_state_that_may_obey_is_cut_and_no_status_is_wrong(seed: int) -> None
         obeys = holds(predicate, true)
         assert not (obeys & ~kept(strips, held)).any()
         assert not (obeys.any(axis=1) & empty).any()
-        status = literals.status([number], center, generators, context(rows, 3))[:, 0]
+        status = literals.verdict([number], center, generators, context(rows, 3))[:, 0]
         assert not (holds(predicate, held + moved).any(axis=1) & (status == -1)).any()
         assert holds(predicate, held)[status == 1].all()
 
@@ -81,7 +81,7 @@ def test_noise_and_motion_widen_strips() -> None:
     assert not empty
     # The status is about true states: motion alone.
     at = np.array([[0, 1.4, 0], [0, 1.6, 0], [0, 1.0, 0]])
-    np.testing.assert_array_equal(literals.status([number], at, np.zeros((3, 3, 0)), context(3, 3))[:, 0], [0, -1, 1])
+    np.testing.assert_array_equal(literals.verdict([number], at, np.zeros((3, 3, 0)), context(3, 3))[:, 0], [0, -1, 1])
 
 
 def test_states_on_the_border_hold() -> None:
@@ -90,7 +90,7 @@ def test_states_on_the_border_hold() -> None:
     at = np.array([[0, 0.375, 0], [0, 0.125, 0], [0, np.nextafter(0.375, 1), 0]])
     generators = np.zeros((3, 3, 1))
     generators[1, 1] = 0.25
-    np.testing.assert_array_equal(literals.status([number], at, generators, context(3, 3))[:, 0], [1, 1, 0])
+    np.testing.assert_array_equal(literals.verdict([number], at, generators, context(3, 3))[:, 0], [1, 1, 0])
 
 
 def test_without_a_noise_bound_nothing_cuts() -> None:
@@ -103,7 +103,7 @@ def test_without_a_noise_bound_nothing_cuts() -> None:
         assert not empty.any()
         assert literals.fixed(number)
         # What true states are like is another question.
-        assert literals.status([number], np.full((2, 3), 99.0), np.zeros((2, 3, 0)), context(2, 3)).any()
+        assert literals.verdict([number], np.full((2, 3), 99.0), np.zeros((2, 3, 0)), context(2, 3)).any()
 
 
 def test_the_same_literal_has_the_same_number() -> None:
@@ -132,9 +132,9 @@ def test_status_of_many_literals_is_one_column_each() -> None:
     literals = Literals(3, (1, 2), NOISELESS)
     numbers = [literal(literals, predicate) for predicate in (STRIP, HALF, DISC)]
     center = np.array([[0, 0.3, -2.0], [0, -9.0, 0.0]])
-    found = literals.status(numbers, center, np.zeros((2, 3, 0)), context(2, 3))
+    found = literals.verdict(numbers, center, np.zeros((2, 3, 0)), context(2, 3))
     np.testing.assert_array_equal(found, [[-1, 1, 1], [-1, -1, -1]])
-    assert literals.status([], center, np.zeros((2, 3, 0)), context(2, 3)).shape == (2, 0)
+    assert literals.verdict([], center, np.zeros((2, 3, 0)), context(2, 3)).shape == (2, 0)
 
 
 def test_what_cannot_be_compiled_is_refused() -> None:
@@ -177,7 +177,7 @@ def test_both_coordinates_of_a_disc_may_mean_the_same_state() -> None:
     strips, _ = literals.strips(number, at, np.zeros((13, 1, 0)), context(13, 1))
     inside = (at[:, 0] >= 0) & (at[:, 0] <= 1)
     assert kept(strips, at[:, None])[inside].all()
-    found = literals.status([number], at, np.zeros((13, 1, 0)), context(13, 1))[:, 0]
+    found = literals.verdict([number], at, np.zeros((13, 1, 0)), context(13, 1))[:, 0]
     assert (found[~inside] <= 0).all()
     assert (found[inside] >= 0).all()
     assert found[at[:, 0] == 0.5] == 1
@@ -213,7 +213,7 @@ def test_ugly_sets(case: Raw) -> None:
     for predicate in predicates:
         one = literals.add(predicate, index, scenario="s", name=predicate.name)
         strips, empty = literals.strips(one, center, generators, context(1, n))
-        status = literals.status([one], center, generators, context(1, n))[0, 0]
+        status = literals.verdict([one], center, generators, context(1, n))[0, 0]
         assert strips.lower.shape[-1] == strips.upper.shape[-1] == strips.normal.shape[-2]
         if predicate.name == "beyond":
             assert (bool(empty[0]), status) == (True, -1)

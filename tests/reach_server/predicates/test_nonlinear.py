@@ -109,7 +109,7 @@ def test_no_state_that_may_satisfy_is_cut_and_no_status_is_wrong(seed: int) -> N
         stays = kept(strips, held)
         assert not (satisfied & ~stays).any(), expression
         assert not (satisfied.any(axis=1) & empty).any(), expression
-        status = literals.status([one], center, generators, given)[:, 0]
+        status = literals.verdict([one], center, generators, given)[:, 0]
         assert not ((status == -1) & ~(h(held + moved, at) < 0).all(axis=1)).any(), expression
         assert not ((status == 1)[:, None] & ~(h(held, t[:, None] + off) >= -1e-12)).any(), expression
         cut += int(np.isfinite(strips.lower).any(axis=1).sum())
@@ -187,7 +187,7 @@ def test_outside_of_a_disc_one_half_space_is_left() -> None:
     whole = Polygon(planar.zonotope_polygon(center[0], generators[0]))
     exact = area_of(lambda x, y: x**2 + y**2 - 1, whole)
     assert cut_polygon(center[0], generators[0], row(strips, 0)).area <= 1.15 * exact
-    np.testing.assert_array_equal(literals.status([one], center, generators, context(3, 2))[:, 0], [0, -1, 1])
+    np.testing.assert_array_equal(literals.verdict([one], center, generators, context(3, 2))[:, 0], [0, -1, 1])
 
 
 def test_generators_tell_what_a_box_does_not() -> None:
@@ -198,7 +198,7 @@ def test_generators_tell_what_a_box_does_not() -> None:
     center = np.full((2, 2), 0.9)
     _, empty = literals.strips(one, center, generators, context(2, 2))
     np.testing.assert_array_equal(empty, [True, False])
-    np.testing.assert_array_equal(literals.status([one], center, generators, context(2, 2))[:, 0], [-1, 0])
+    np.testing.assert_array_equal(literals.verdict([one], center, generators, context(2, 2))[:, 0], [-1, 0])
 
 
 def test_boxes_are_contracted_to_what_half_spaces_leave() -> None:
@@ -241,7 +241,7 @@ def test_a_predicate_says_nothing_where_it_is_not_defined(expression: Expression
     strips, empty = literals.strips(one, center, generators, context(2, 2))
     assert np.isneginf(strips.lower[0]).all()
     np.testing.assert_array_equal(empty, [False, True])
-    np.testing.assert_array_equal(literals.status([one], center, generators, context(2, 2))[:, 0], [0, -1])
+    np.testing.assert_array_equal(literals.verdict([one], center, generators, context(2, 2))[:, 0], [0, -1])
 
 
 def test_kinks_in_a_state_are_never_expanded() -> None:
@@ -278,7 +278,7 @@ def test_time_steps_and_the_last_state() -> None:
         # x <= last x + 2 (t - last t), at the greatest last x
         np.testing.assert_allclose(strips.lower[:, 0] / strips.normal[:, 0, 0], [1.5, 3.5, 5.5], rtol=1e-9)
         np.testing.assert_array_equal(empty, [True, False, False])
-        np.testing.assert_array_equal(literals.status([one], center, generators, given)[:, 0], [-1, 0, 1])
+        np.testing.assert_array_equal(literals.verdict([one], center, generators, given)[:, 0], [-1, 0, 1])
     one = added(literals, reach)
     strips, _ = literals.strips(one, center, generators, replace(given, t_slack=0.1))
     np.testing.assert_allclose(strips.lower[:, 0] / strips.normal[:, 0, 0], [1.9, 3.9, 5.9], rtol=1e-9)
@@ -297,7 +297,7 @@ def test_a_predicate_without_states_cuts_all_or_nothing() -> None:
     assert strips.normal.shape == (3, 0, 2)
     np.testing.assert_array_equal(empty, [True, False, False])
     np.testing.assert_array_equal(
-        literals.status([one], np.zeros((3, 2)), np.zeros((3, 2, 0)), given)[:, 0], [-1, 1, 1]
+        literals.verdict([one], np.zeros((3, 2)), np.zeros((3, 2, 0)), given)[:, 0], [-1, 1, 1]
     )
     moving = added(literals, less(Time(), Number(0.3)), margin=0.15)
     _, empty = literals.strips(moving, np.zeros((3, 2)), np.zeros((3, 2, 0)), given)
@@ -321,7 +321,7 @@ def test_ellipsoids_that_are_none() -> None:
     assert not literals.fixed(nowhere)
     strips, empty = literals.strips(nowhere, CENTER, GENERATORS, context(1, 2))
     assert empty.all()
-    assert literals.status([nowhere], CENTER, GENERATORS, context(1, 2)) == -1
+    assert literals.verdict([nowhere], CENTER, GENERATORS, context(1, 2)) == -1
     interval = added(literals, less(ONE, squared(X)))
     assert literals.fixed(interval)
     strips, _ = literals.strips(interval, CENTER, GENERATORS, context(1, 2))

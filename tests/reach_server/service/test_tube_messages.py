@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fleet_bus.messages import Audit, Cut, Event, EventKind, Label, ReachTube, parse_profile
 from reach_server.service.tube_messages import messages, outward_box, outward_generators
 from reach_server.sets.raw import RawSets
-from reach_server.tube.summaries import figures
+from reach_server.tube.summaries import summarize
 from tests.reach_server.tube.test_summaries import PLANE, none_act, strips
 from tests.reach_server.ugly import assert_outlines, directions, moderate
 
@@ -49,7 +49,7 @@ def test_messages_hold_the_sets_after_their_round_trip(scale: float) -> None:
     center = np.array([[5e6, -3e5, 1.0], [0.0, 0.0, 0.0]])
     G = scale * rng.normal(size=(2, 3, 9)) * np.array([1.0, 1.0, 1e-3])[:, None]
     sets = RawSets.zonotope(center, G)
-    figure = figures(sets, np.repeat(none_act(), 2, axis=0), strips(), PLANE)
+    figure = summarize(sets, np.repeat(none_act(), 2, axis=0), strips(), PLANE)
     ids = np.array([1, 1], dtype=np.uint64)
     times = np.array([[2], [2]], dtype=np.int64)
     tubes = Tubes(

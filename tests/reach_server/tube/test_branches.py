@@ -77,7 +77,7 @@ def test_a_witness_that_may_have_been_leaves_both_ways_open(cuts: str) -> None:
 def test_what_surely_happened_leaves_one_way() -> None:
     tube, _ = cut(f"eventually{window(0, 4)}(x1 <= 5) and always{window(5, 6)}(x2 <= 0.1)")
     assert [len(step.track) for step in tube.steps] == [1] * 7
-    assert tube.acted[0, 5:].any()
+    assert tube.active[0, 5:].any()
 
 
 def test_alternatives_are_followed_apart() -> None:

@@ -56,7 +56,7 @@ class Side:
         zero = np.zeros(len(rows))
         return Context(zero, zero, zero, np.zeros((len(rows), 4)), np.zeros((len(rows), 4)))
 
-    def knowledge(self, cuts: CutMethod = "zonotope") -> SideInformation:
+    def side(self, cuts: CutMethod = "zonotope") -> SideInformation:
         """For ``propagate``."""
         return SideInformation(self.table, self.literals, lambda k, track: self.contexts, cuts, (0, 1))
 
@@ -75,7 +75,7 @@ def tube_of(
     known = Side(None, WORLD.profile) if side is None else side
     rows = np.arange(len(start.center))
     tracks = Hypotheses(rows, start, rows, np.full(len(rows), known.root), np.ones(len(rows), dtype=bool))
-    return propagate(tracks, motion, known.knowledge(cuts), motion.layout.n)
+    return propagate(tracks, motion, known.side(cuts), motion.layout.n)
 
 
 def spread(rng: np.random.Generator, center: FloatArray, half: FloatArray, count: int) -> FloatArray:
@@ -379,8 +379,8 @@ def test_trajectories_that_obey_the_scenario_stay_in_the_cut_tube(
     tube = tube_of(start, motion, Side(scenario, profile), cuts)
     free = tube_of(start, motion)
     assert (tube.ended < 0).all()
-    assert tube.acted[:, active_from:].any()
-    assert not tube.acted[:, :active_from].any()
+    assert tube.active[:, active_from:].any()
+    assert not tube.active[:, :active_from].any()
     assert_all_inside(tube, truth[obedient], rng)
     if cuts != "frobenius":
         d = np.concatenate([np.eye(layout.n), -np.eye(layout.n)])
@@ -399,7 +399,7 @@ def test_cuts_that_leave_nothing_are_told_and_not_applied(cuts: CutMethod) -> No
     cut = side.cut_all(start, np.ones((2, side.literals.count), dtype=bool), cuts)
     assert cut.empty[0].any()
     assert not cut.empty[1].any()
-    assert cut.acted[1].any()
+    assert cut.active[1].any()
     assert inside(cut.sets, 0, np.array([[0.1, 0.1], [-0.1, -0.1]]), np.random.default_rng(0)).all()
 
 
@@ -422,7 +422,7 @@ def test_a_track_without_branches_ends_and_names_what_conflicts(cuts: CutMethod)
     tube = tube_of(start, motion, side, cuts)
     assert tube.ended.tolist() == [0, 0]
     assert all(not len(step.track) for step in tube.steps)
-    for row in tube.blamed:
+    for row in tube.responsible:
         names = {side.literals.name(i) for i in np.flatnonzero(row).tolist()}
         assert "slope" in names
         assert names & {"box.x1", "box.x2"}
@@ -436,7 +436,7 @@ def test_an_inactive_cut_changes_nothing_beside_an_active_one(cuts: CutMethod) -
     asked = np.zeros((2, side.literals.count), dtype=bool)
     asked[0] = True
     cut = side.cut_all(start, asked, cuts)
-    assert not cut.acted[1].any()
+    assert not cut.active[1].any()
     d = np.concatenate([np.eye(2), -np.eye(2)])
     sets = cut.sets
     heights = support.constrained_support(sets.center, sets.generators, sets.matrix, sets.offset, d)

@@ -9,7 +9,7 @@ from reach_server.numeric.types import FloatArray
 from reach_server.sets.raw import RawSets
 from reach_server.tube.reach_sets import ReachSets
 from reach_server.tube.state_bounds import within
-from reach_server.tube.summaries import WAYS, PlaneStrips, figures
+from reach_server.tube.summaries import OUTLINE_DIRECTIONS, PlaneStrips, summarize
 from tests.reach_server.ugly import moderate
 
 PLANE = (0, 1)
@@ -19,7 +19,7 @@ def reach_of(sets: RawSets) -> ReachSets:
     """One step, no side information."""
     count = len(sets.center)
     none = np.zeros(count, dtype=bool)
-    found = figures(sets, np.zeros((count, 0), dtype=bool), PlaneStrips.none(), PLANE)
+    found = summarize(sets, np.zeros((count, 0), dtype=bool), PlaneStrips.none(), PLANE)
     return ReachSets(
         (sets,), (sets,), found.area[:, None], found.area[:, None].copy(), found.heights[:, None], found.hull[:, None],
         np.zeros((count, 1, 0), dtype=bool), ~none, none, none, {},
@@ -62,11 +62,11 @@ def test_what_both_hold_is_kept_and_nothing_reaches_beyond(seed: int) -> None:
         excluded = (sets.center + np.abs(sets.generators).sum(axis=2) < low) | (
             sets.center - np.abs(sets.generators).sum(axis=2) > high
         )
-        kept = ~excluded.any(axis=1)
-        assert (held.center - spread >= low - slack)[kept].all()
-        assert (held.center + spread <= high + slack)[kept].all()
+        retained = ~excluded.any(axis=1)
+        assert (held.center - spread >= low - slack)[retained].all()
+        assert (held.center + spread <= high + slack)[retained].all()
         allowed = 4 * half[:, 0] * half[:, 1]
-        assert (areas[:, 0] <= allowed * (1 + 1e-5))[kept].all()
+        assert (areas[:, 0] <= allowed * (1 + 1e-5))[retained].all()
     before = reach_of(sets)
     for row in np.flatnonzero(~cut):
         np.testing.assert_array_equal(found.steps[0].center[row], sets.center[row])
@@ -86,7 +86,7 @@ def test_outline_and_hull_hold_the_intersection() -> None:
     for b in range(40):
         chosen = moved[b][np.asarray(both[b])]
         size = 1e-9 * (1 + np.abs(sets.center[b]).max())
-        assert (chosen[:, PLANE] @ WAYS.T <= found.heights[b, 0] + size).all()
+        assert (chosen[:, PLANE] @ OUTLINE_DIRECTIONS.T <= found.heights[b, 0] + size).all()
         assert (chosen >= found.hull[b, 0, 0] - size).all()
         assert (chosen <= found.hull[b, 0, 1] + size).all()
 

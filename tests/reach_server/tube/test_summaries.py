@@ -11,7 +11,15 @@ from shapely import MultiPoint, Polygon, box
 from reach_server.numeric.types import FloatArray
 from reach_server.predicates import Literals
 from reach_server.sets.raw import RawSets
-from reach_server.tube.summaries import EXTRA_GENERATORS, OUTLINE, PlaneStrips, SetSummary, enclosing, figures, joined
+from reach_server.tube.summaries import (
+    EXTRA_GENERATORS,
+    OUTLINE,
+    PlaneStrips,
+    SetSummary,
+    enclosing,
+    summarize,
+    union_summary,
+)
 from side_info import LinearPredicate
 from tests.reach_server.ugly import (
     INHABITED,
@@ -51,7 +59,7 @@ def none_act(count: int = 0) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
 
 @pytest.mark.parametrize("case", [c for c in INHABITED if c.n == 2][::2], ids=named)
 def test_figures_hold_the_set(case: Raw) -> None:
-    found = figures(factor_set(case), none_act(), strips(), PLANE)
+    found = summarize(factor_set(case), none_act(), strips(), PLANE)
     assert found.outline().shape == (1, OUTLINE, 2)
     points = corners(case) if not len(case.A) else members(case, 3)
     relative = points - case.c
@@ -74,7 +82,7 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
     center, generators = rng.normal(size=(1, 3)), rng.normal(size=(1, 3, 5))
     points = center + np.sign(rng.uniform(-1, 1, (4000, 5))) * rng.uniform(0.2, 1, (4000, 5)) @ generators[0].T
     cuts: list[tuple[list[float], float, float]] = []
-    kept = np.ones(len(points), dtype=bool)
+    retained = np.ones(len(points), dtype=bool)
     for number in range(count):
         # The last one speaks about a state that is no position and must not clip the outline.
         normal = rng.normal(size=3) * [1.0, 1.0, float(number == 2)]
@@ -82,14 +90,14 @@ def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int
         low, high = np.quantile(heights, 0.2), np.quantile(heights, 0.9)
         low, high = (float(low), float(high)) if rng.random() < 0.6 else (-np.inf, float(high))
         cuts.append((normal.tolist(), low, high))
-        kept &= (low <= heights) & (heights <= high)
+        retained &= (low <= heights) & (heights <= high)
     sets = RawSets.zonotope(center, generators)
     acting = np.ones((1, count), dtype=bool)
-    found = figures(sets, acting, strips(*cuts), PLANE)
-    free = figures(sets, ~acting, strips(*cuts), PLANE)
+    found = summarize(sets, acting, strips(*cuts), PLANE)
+    free = summarize(sets, ~acting, strips(*cuts), PLANE)
     assert found.area[0] <= free.area[0] * (1 + 1e-9)
-    if kept.any():
-        relative = (points - center)[kept]
+    if retained.any():
+        relative = (points - center)[retained]
         assert_outlines(found.outline()[0], relative[:, :2], 1.0)
         assert (found.hull[0, 0] <= relative.min(axis=0)).all()
         assert (found.hull[0, 1] >= relative.max(axis=0)).all()
@@ -100,7 +108,7 @@ def test_the_area_of_a_cut_zonotope_is_that_of_the_intersection() -> None:
     generators = np.array([[[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]])
     sets = RawSets.zonotope(np.array([[2.0, 3.0]]), generators)
     cuts = strips(([1.0, 0.0], 1.5, 2.2), ([0.0, 1.0], -np.inf, 3.4))
-    found = figures(sets, np.ones((1, 2), dtype=bool), cuts, PLANE)
+    found = summarize(sets, np.ones((1, 2), dtype=bool), cuts, PLANE)
     case = Raw("", sets.center[0], generators[0], np.zeros((0, 3)), np.zeros(0))
     exact = Polygon(MultiPoint(corners(case)).convex_hull.exterior).intersection(box(1.5, -10, 2.2, 3.4))
     assert found.area[0] == pytest.approx(exact.area)
@@ -110,7 +118,7 @@ def test_each_vehicle_is_clipped_by_its_own_cuts() -> None:
     sets = RawSets.zonotope(np.zeros((3, 2)), np.broadcast_to(np.eye(2), (3, 2, 2)))
     cuts = strips(([1.0, 0.0], -0.5, 0.5), ([0.0, 1.0], -np.inf, 0.0))
     acting = np.array([[False, False], [True, False], [True, True]])
-    found = figures(sets, acting, cuts, PLANE)
+    found = summarize(sets, acting, cuts, PLANE)
     np.testing.assert_allclose(found.area, [4.0, 2.0, 1.0])
     np.testing.assert_allclose(found.hull[:, 1], np.array([[1.0, 1.0], [0.5, 1.0], [0.5, 0.0]]), atol=1e-5)
 
@@ -135,9 +143,9 @@ def test_figures_of_unions_hold_every_set(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     owner = np.sort(np.concatenate([np.arange(2), rng.integers(0, 2, count)]))
     sets = RawSets.zonotope(rng.normal(size=(len(owner), 3)), rng.normal(size=(len(owner), 3, 4)))
-    each = figures(sets, np.zeros((len(owner), 0), dtype=bool), strips(), PLANE)
+    each = summarize(sets, np.zeros((len(owner), 0), dtype=bool), strips(), PLANE)
     around = rng.normal(size=(2, 3))
-    found = joined(each, owner, sets.center, around, PLANE)
+    found = union_summary(each, owner, sets.center, around, PLANE)
     factors = np.sign(rng.uniform(-1, 1, (200, 4)))
     for union in range(2):
         points = np.concatenate(

@@ -16,7 +16,7 @@ from reach_server.sets.polygon import outer_polygon
 from reach_server.sets.raw import RawSets
 from reach_server.tube.branching import Branches, Hypotheses, SideInformation, propagate
 from reach_server.tube.cut_schedule import CutSchedule, CutScheduler
-from reach_server.tube.summaries import PlaneStrips, figures
+from reach_server.tube.summaries import PlaneStrips, summarize
 from reach_server.tube.unbranched import UnbranchedTubes, box_tubes
 from side_info import Scenario
 from side_info.progression import TRUE, Grid, Table
@@ -61,8 +61,8 @@ class Boxes:
         g = np.concatenate([np.zeros((len(self.start), 1, 3, 3)), self.generators], axis=1)
         return np.concatenate([self.start[:, None], self.center], axis=1), g
 
-    def tubes(self, plan: CutSchedule, cuts: CutMethod = "zonotope") -> UnbranchedTubes:
-        return box_tubes(self.center, self.generators, self.start, self.points, plan, PLANE, cuts)
+    def tubes(self, schedule: CutSchedule, cuts: CutMethod = "zonotope") -> UnbranchedTubes:
+        return box_tubes(self.center, self.generators, self.start, self.points, schedule, PLANE, cuts)
 
 
 class Side:
@@ -87,7 +87,7 @@ class Side:
 
         self.root = self.table.add(scenario.side_information, Grid(STEP), literal)
 
-    def plan(self, boxes: Boxes, *, known: bool = True) -> CutSchedule:
+    def schedule(self, boxes: Boxes, *, known: bool = True) -> CutSchedule:
         count = len(boxes.center)
         center, generators = boxes.with_start()
         plans = CutScheduler(self.table, self.literals, 3, PLANE)
@@ -102,9 +102,9 @@ class Side:
         rows = np.arange(count)
         start = RawSets.zonotope(boxes.start, boxes.points)
         tracks = Hypotheses(rows, start, rows, np.full(count, self.root), np.ones(count, dtype=bool))
-        knowledge = SideInformation(self.table, self.literals, lambda k, track: _nothing, cuts, PLANE)
-        tube = propagate(tracks, boxes, knowledge, 3)
-        return tube.steps[1:], tube.acted, tube.ended
+        side = SideInformation(self.table, self.literals, lambda k, track: _nothing, cuts, PLANE)
+        tube = propagate(tracks, boxes, side, 3)
+        return tube.steps[1:], tube.active, tube.ended
 
 
 def _nothing(literal: int, rows: IndexArray) -> Context:
@@ -118,22 +118,22 @@ ROAD = {"lane": "x1 >= -0.1 and x1 <= 0.2", "slow": "v <= 0.1", "far": "x1 >= 50
 @methods
 def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod) -> None:
     side, boxes = Side("always[0:1 s](lane and slow)", **ROAD), Boxes(60)
-    plan = side.plan(boxes)
-    assert plan.straight.all()
-    found = boxes.tubes(plan, cuts)
-    steps, acted, ended = side.branches(boxes, cuts)
+    schedule = side.schedule(boxes)
+    assert schedule.unbranched.all()
+    found = boxes.tubes(schedule, cuts)
+    steps, active, ended = side.branches(boxes, cuts)
     np.testing.assert_array_equal(found.ended, ended)
     whole = np.flatnonzero(ended < 0)
     assert 5 < len(whole) < 60
-    literals = found.acted_literals(plan, side.literals.count)
-    np.testing.assert_array_equal(literals[whole], acted[whole])
+    literals = found.active_literals(schedule, side.literals.count)
+    np.testing.assert_array_equal(literals[whole], active[whole])
     strips = PlaneStrips.of(side.literals, range(side.literals.count), 3, PLANE)
     for k, step in enumerate(steps):
         own = np.isin(step.track, whole)
         sets = RawSets.zonotope(step.sets.center[own], step.sets.generators[own])
         free = RawSets.zonotope(boxes.center[whole, k], boxes.generators[whole, k])
-        area = figures(sets, step.within[own], strips, PLANE).area
-        area_free = figures(free, step.within[own] & False, strips, PLANE).area
+        area = summarize(sets, step.within[own], strips, PLANE).area
+        area_free = summarize(free, step.within[own] & False, strips, PLANE).area
         np.testing.assert_allclose(found.area_free[whole, k], area_free)
         smaller = area if cuts == "frobenius" else np.minimum(area, area_free)
         np.testing.assert_allclose(found.area[whole, k], smaller, rtol=1e-9, atol=1e-12)
@@ -143,7 +143,7 @@ def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod) -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["zonotope", "frobenius"]))
 def test_tubes_hold_what_obeys_the_cuts(seed: int, cuts: CutMethod) -> None:
     side, boxes = Side("always[0:1 s](lane and slow)", **ROAD), Boxes(3, seed)
-    found = boxes.tubes(side.plan(boxes), cuts)
+    found = boxes.tubes(side.schedule(boxes), cuts)
     rng = np.random.default_rng(seed)
     factors = np.sign(rng.uniform(-1, 1, (500, 3))) * rng.uniform(0, 1, (500, 3)) ** 0.3
     for b in range(3):
@@ -164,12 +164,12 @@ def test_tubes_hold_what_obeys_the_cuts(seed: int, cuts: CutMethod) -> None:
 
 def test_a_vehicle_alone_has_the_tube_that_it_has_among_others() -> None:
     side, boxes = Side("always[0:1 s](lane and slow)", **ROAD), Boxes(20)
-    plan = side.plan(boxes)
-    whole = boxes.tubes(plan)
+    schedule = side.schedule(boxes)
+    whole = boxes.tubes(schedule)
     for row in (0, 7, 19):
         one = box_tubes(
             boxes.center[[row]], boxes.generators[[row]], boxes.start[[row]], boxes.points[[row]],
-            plan.rows(np.array([row])), PLANE, "zonotope",
+            schedule.rows(np.array([row])), PLANE, "zonotope",
         )  # fmt: skip
         columns = min(one.generators.shape[3], whole.generators.shape[3])
         np.testing.assert_array_equal(one.center[0], whole.center[row])
@@ -192,46 +192,48 @@ def test_without_cuts_the_boxes_stay_and_what_is_not_finite_is_told() -> None:
 
 def test_an_alternative_that_no_set_can_meet_needs_no_branch() -> None:
     side, boxes = Side("lane until[0:5 s] far", **ROAD), Boxes(40)
-    assert not side.plan(boxes, known=False).straight.any()
-    plan = side.plan(boxes)
-    found = boxes.tubes(plan)
-    _, acted, ended = side.branches(boxes)
+    assert not side.schedule(boxes, known=False).unbranched.any()
+    schedule = side.schedule(boxes)
+    found = boxes.tubes(schedule)
+    _, active, ended = side.branches(boxes)
     # Where the lane misses a set, too, no alternative is left, and the steps have to tell why.
-    np.testing.assert_array_equal(plan.straight & (found.ended < 0), ended < 0)
+    np.testing.assert_array_equal(schedule.unbranched & (found.ended < 0), ended < 0)
     whole = ended < 0
     assert 0 < whole.sum() < 40
-    np.testing.assert_array_equal(found.acted_literals(plan, side.literals.count)[whole], acted[whole])
+    np.testing.assert_array_equal(found.active_literals(schedule, side.literals.count)[whole], active[whole])
 
 
 def test_an_alternative_that_another_covers_needs_no_branch() -> None:
     # All sets are here: that it is fulfilled now covers that it will be.
     side, boxes = Side("eventually[0:5 s](here) and always[0:5 s](lane)", **ROAD), Boxes(10, size=0.01)
     boxes.center, boxes.start = 0.1 * boxes.center, 0.1 * boxes.start
-    plan = side.plan(boxes)
-    assert plan.straight.all()
+    schedule = side.schedule(boxes)
+    assert schedule.unbranched.all()
     reached = Side("eventually[0:0.2 s](lane)", **ROAD)
     # Of some sets a part is in the lane: there are two ways to go on.
-    assert not reached.plan(Boxes(40)).straight.all()
+    assert not reached.schedule(Boxes(40)).unbranched.all()
 
 
 def test_predicates_that_depend_on_the_set_and_several_obligations_need_branches() -> None:
     boxes = Boxes(2)
     curved = Side("always[0:1 s](ring)", ring="x1*x1 + x2*x2 >= 0.01")
-    assert not curved.plan(boxes).straight.any()
+    assert not curved.schedule(boxes).unbranched.any()
     side = Side("always[0:1 s](lane)", **ROAD)
     plans = CutScheduler(side.table, side.literals, 3, PLANE)
-    plan = plans.of(np.array([1, 1]), np.array([side.root, side.root]), np.ones(2, dtype=bool), N, *boxes.with_start())
-    np.testing.assert_array_equal(plan.straight, [True, False])
-    assert not plan.active.any()
+    schedule = plans.of(
+        np.array([1, 1]), np.array([side.root, side.root]), np.ones(2, dtype=bool), N, *boxes.with_start()
+    )
+    np.testing.assert_array_equal(schedule.unbranched, [True, False])
+    assert not schedule.asked.any()
     never = plans.of(np.array([0]), np.array([TRUE]), np.ones(2, dtype=bool), N, None, None)
-    assert never.straight.all()
-    assert not never.active.any()
+    assert never.unbranched.all()
+    assert not never.asked.any()
 
 
 def test_a_set_of_now_that_may_not_be_cut_is_not() -> None:
     side = Side("always[0:1 s](lane)", **ROAD)
     plans = CutScheduler(side.table, side.literals, 3, PLANE)
     rows = np.arange(2)
-    plan = plans.of(rows, np.full(2, side.root), np.array([True, False]), N, None, None)
-    np.testing.assert_array_equal(plan.active[:, 0].any(axis=1), [True, False])
-    assert plan.active[:, 1:].any(axis=2).all()
+    schedule = plans.of(rows, np.full(2, side.root), np.array([True, False]), N, None, None)
+    np.testing.assert_array_equal(schedule.asked[:, 0].any(axis=1), [True, False])
+    assert schedule.asked[:, 1:].any(axis=2).all()

@@ -17,9 +17,9 @@ from reach_server.sets.raw import RawSets
 from reach_server.tube.branching import Hypotheses, SideInformation, Tube, propagate
 from reach_server.tube.cut_schedule import CutSchedule, CutScheduler
 from reach_server.tube.recursion import Recursion
-from reach_server.tube.summaries import PlaneStrips, figures
+from reach_server.tube.summaries import PlaneStrips, summarize
 from reach_server.tube.unbranched import UnbranchedTubes
-from reach_server.tube.unbranched_kernel import straight_tubes
+from reach_server.tube.unbranched_kernel import recursion_tubes
 from side_info import Scenario
 from side_info.progression import Grid, Table
 from tests.reach_server.drives import LAYOUT, PROFILE, SVEA, block_of, history, inside, noise
@@ -57,8 +57,8 @@ class Fleet:
         self.inputs = InputSets(past, center, half)
         self.motion = Recursion(self.inputs, self.model, PROCESS, LAYOUT, membership)
 
-    def tubes(self, plan: CutSchedule, cuts: CutMethod = "zonotope") -> UnbranchedTubes:
-        return straight_tubes(self.motion, self.start, np.arange(len(self.y)), plan, PLANE, cuts)
+    def tubes(self, schedule: CutSchedule, cuts: CutMethod = "zonotope") -> UnbranchedTubes:
+        return recursion_tubes(self.motion, self.start, np.arange(len(self.y)), schedule, PLANE, cuts)
 
     def truth(self, b: int, rng: np.random.Generator, count: int) -> FloatArray:
         """True states (count, STEPS + 1, 4)."""
@@ -85,7 +85,7 @@ class Road:
 
         self.root = self.table.add(scenario.side_information, Grid(SVEA.dt_ns), literal)
 
-    def plan(self, count: int) -> CutSchedule:
+    def schedule(self, count: int) -> CutSchedule:
         plans = CutScheduler(self.table, self.literals, 4, PLANE)
         yes = np.ones(count, dtype=bool)
         return plans.of(np.arange(count), np.full(count, self.root), yes, STEPS, None, None)
@@ -93,8 +93,8 @@ class Road:
     def branches(self, fleet: Fleet, cuts: CutMethod) -> Tube:
         rows = np.arange(len(fleet.y))
         tracks = Hypotheses(rows, fleet.start, rows, np.full(len(rows), self.root), np.ones(len(rows), dtype=bool))
-        knowledge = SideInformation(self.table, self.literals, lambda k, track: _nothing, cuts, PLANE)
-        return propagate(tracks, fleet.motion, knowledge, 4)
+        side = SideInformation(self.table, self.literals, lambda k, track: _nothing, cuts, PLANE)
+        return propagate(tracks, fleet.motion, side, 4)
 
 
 def _nothing(literal: int, rows: NDArray[np.intp]) -> Context:
@@ -107,20 +107,20 @@ def _nothing(literal: int, rows: NDArray[np.intp]) -> Context:
 @pytest.mark.parametrize("cuts", ["zonotope", "frobenius"])
 def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod, known: bool, membership: bool) -> None:
     fleet, road = Fleet(12, known=known, membership=membership), Road(-0.8, 0.8, 0.9)
-    plan = road.plan(12)
-    assert plan.straight.all()
-    found, tube = fleet.tubes(plan, cuts), road.branches(fleet, cuts)
+    schedule = road.schedule(12)
+    assert schedule.unbranched.all()
+    found, tube = fleet.tubes(schedule, cuts), road.branches(fleet, cuts)
     np.testing.assert_array_equal(found.ended, tube.ended)
     assert (tube.ended < 0).sum() > 3
     assert (tube.ended >= 0).any()
     strips = PlaneStrips.of(road.literals, range(road.literals.count), 4, PLANE)
     whole = np.flatnonzero(tube.ended < 0)
-    literals = found.acted_literals(plan, road.literals.count)
-    np.testing.assert_array_equal(literals[whole], tube.acted[whole])
+    literals = found.active_literals(schedule, road.literals.count)
+    np.testing.assert_array_equal(literals[whole], tube.active[whole])
     for k, step in enumerate(tube.steps[1:]):
         own = np.isin(step.track, whole)
         sets = take_rows(step.sets, own)
-        area = figures(sets, step.within[own], strips, PLANE).area
+        area = summarize(sets, step.within[own], strips, PLANE).area
         smaller = area if cuts == "frobenius" else np.minimum(area, found.area_free[whole, k])
         np.testing.assert_allclose(found.area[whole, k], smaller, rtol=1e-6)
 
@@ -144,7 +144,7 @@ def test_without_cuts_the_sets_are_those_of_the_steps(known: bool) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_true_trajectories_that_obey_stay_inside(seed: int) -> None:
     fleet, road = Fleet(4, seed=seed), Road(-1.5, 1.5, 1.0)
-    found = fleet.tubes(road.plan(4))
+    found = fleet.tubes(road.schedule(4))
     rng = np.random.default_rng(seed)
     for b in range(4):
         truth = fleet.truth(b, rng, 2000)
@@ -162,10 +162,10 @@ def test_true_trajectories_that_obey_stay_inside(seed: int) -> None:
 
 def test_a_vehicle_alone_has_the_tube_that_it_has_among_others() -> None:
     fleet, road = Fleet(12), Road(-0.8, 0.8, 0.9)
-    plan, order = road.plan(12), np.array([7, 0, 11, 3])
-    whole = fleet.tubes(plan)
-    some = straight_tubes(fleet.motion, fleet.start, order, plan.rows(order), PLANE, "zonotope")
-    for name in ("center", "used", "area", "area_free", "heights", "hull", "acted", "ended", "generators"):
+    schedule, order = road.schedule(12), np.array([7, 0, 11, 3])
+    whole = fleet.tubes(schedule)
+    some = recursion_tubes(fleet.motion, fleet.start, order, schedule.rows(order), PLANE, "zonotope")
+    for name in ("center", "used", "area", "area_free", "heights", "hull", "active", "ended", "generators"):
         np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[order])
 
 

@@ -117,71 +117,71 @@ def shorter(angle: float) -> float:
     return float(np.arctan2(np.sin(angle), np.cos(angle)))
 
 
-def slow_increment(t: NDArray[np.int64], x: FloatArray, k: int, terms: FeatureSpec) -> FloatArray:
+def slow_increment(t: NDArray[np.int64], x: FloatArray, k: int, spec: FeatureSpec) -> FloatArray:
     """The change from sample k to the next, as its definition says."""
     d = x[k + 1] - x[k]
-    for i in range(terms.n):
-        if terms.angles >> i & 1:
+    for i in range(spec.n):
+        if spec.angles >> i & 1:
             d[i] = shorter(d[i])
-    if terms.heading >= 0:
-        pair = [terms.first, terms.second]
-        d[pair] = rotated(-x[k, terms.heading], d[pair])
-    return np.asarray(d * terms.interval / (t[k + 1] - t[k]))
+    if spec.heading >= 0:
+        pair = [spec.first, spec.second]
+        d[pair] = rotated(-x[k, spec.heading], d[pair])
+    return np.asarray(d * spec.interval / (t[k + 1] - t[k]))
 
 
-def slow_features(t: NDArray[np.int64], x: FloatArray, u: FloatArray, k: int, terms: FeatureSpec) -> FloatArray:
+def slow_features(t: NDArray[np.int64], x: FloatArray, u: FloatArray, k: int, spec: FeatureSpec) -> FloatArray:
     """The features of sample k, as their definition says."""
-    dt = terms.interval / 1e9
+    dt = spec.interval / 1e9
     columns: list[float] = [1.0]
-    for i in range(terms.n):
-        if terms.free >> i & 1:
-            columns += [np.cos(x[k, i]), np.sin(x[k, i])] if terms.angles >> i & 1 else [x[k, i]]
-    increments = [slow_increment(t, x, k - lag, terms) / dt for lag in range(1, terms.increments + 1)]
-    inputs = [u[k - lag] for lag in range(terms.lags + 1)]
+    for i in range(spec.n):
+        if spec.free >> i & 1:
+            columns += [np.cos(x[k, i]), np.sin(x[k, i])] if spec.angles >> i & 1 else [x[k, i]]
+    increments = [slow_increment(t, x, k - lag, spec) / dt for lag in range(1, spec.increments + 1)]
+    inputs = [u[k - lag] for lag in range(spec.lags + 1)]
     columns += [value for part in (*increments, *inputs) for value in part]
-    if terms.speed >= 0:
-        v = x[k, terms.speed]
-        if terms.heading >= 0:
-            r = increments[0][terms.heading]
+    if spec.speed >= 0:
+        v = x[k, spec.speed]
+        if spec.heading >= 0:
+            r = increments[0][spec.heading]
             columns += [v * r, v**2, v**2 * r, v * r**2]
-        if terms.steering >= 0:
-            columns += [v * values[terms.steering] for values in inputs]
-    if terms.planned:
-        for j in range(1, terms.horizon):
+        if spec.steering >= 0:
+            columns += [v * values[spec.steering] for values in inputs]
+    if spec.planned:
+        for j in range(1, spec.horizon):
             columns += list(u[k + j])
-            if terms.steering >= 0:
-                columns.append(v * u[k + j, terms.steering])
+            if spec.steering >= 0:
+                columns.append(v * u[k + j, spec.steering])
     return np.array(columns)
 
 
-def slow_sizes(t: NDArray[np.int64], x: FloatArray, u: FloatArray, k: int, h: int, terms: FeatureSpec) -> FloatArray:
+def slow_sizes(t: NDArray[np.int64], x: FloatArray, u: FloatArray, k: int, h: int, spec: FeatureSpec) -> FloatArray:
     """The regressors of the size of the error of step h (from 0), as their definition says."""
-    dt = terms.interval / 1e9
-    increments = [slow_increment(t, x, k - lag, terms) / dt for lag in range(1, terms.increments + 1)]
-    ranges = np.ptp(u[k - terms.lags : k + 1 + (h if terms.planned else 0)], axis=0)
+    dt = spec.interval / 1e9
+    increments = [slow_increment(t, x, k - lag, spec) / dt for lag in range(1, spec.increments + 1)]
+    ranges = np.ptp(u[k - spec.lags : k + 1 + (h if spec.planned else 0)], axis=0)
     regressors = [1.0]
-    if terms.speed >= 0:
-        v = abs(x[k, terms.speed])
+    if spec.speed >= 0:
+        v = abs(x[k, spec.speed])
         regressors.append(v)
-        if terms.heading >= 0:
-            r = abs(increments[0][terms.heading])
+        if spec.heading >= 0:
+            r = abs(increments[0][spec.heading])
             regressors += [r, v * r]
     regressors += list(ranges)
-    if terms.steering >= 0:
-        regressors.append(v * ranges[terms.steering])
-    regressors += [abs(increments[0][i]) for i in range(terms.n) if terms.free >> i & 1]
+    if spec.steering >= 0:
+        regressors.append(v * ranges[spec.steering])
+    regressors += [abs(increments[0][i]) for i in range(spec.n) if spec.free >> i & 1]
     regressors += list(np.sum([np.abs(a - b) for a, b in pairwise(increments)], axis=0))
     return np.array(regressors)
 
 
-def slow_center(x: FloatArray, d: FloatArray, terms: FeatureSpec) -> FloatArray:
+def slow_center(x: FloatArray, d: FloatArray, spec: FeatureSpec) -> FloatArray:
     """States (N, n) after increments (N, n)."""
     states = [x]
     for step in d:
         new = states[-1] + step
-        if terms.heading >= 0:
-            pair = [terms.first, terms.second]
-            new[pair] = states[-1][pair] + rotated(states[-1][terms.heading], step[pair])
+        if spec.heading >= 0:
+            pair = [spec.first, spec.second]
+            new[pair] = states[-1][pair] + rotated(states[-1][spec.heading], step[pair])
         states.append(new)
     return np.array(states[1:])
 

@@ -11,7 +11,7 @@ from fleet_bus.messages import VehicleProfile
 from reach_server.data.regressors import RegressorSpec
 from reach_server.data.window import Window
 from reach_server.models.conformal import Boxes, ConformalPredictor
-from reach_server.models.conformal.predictor import LEAST_BEYOND, least_window, left_outside
+from reach_server.models.conformal.predictor import LEAST_BEYOND, least_window, scores_beyond
 from reach_server.models.conformal.score import encoded_score, rank_from_top, rank_statistic
 from reach_server.numeric.slot_table import take_rows
 from reach_server.numeric.types import FloatArray
@@ -43,19 +43,19 @@ def boxes_of(stream: Stream, plan: FloatArray | None = None) -> Boxes:
 @pytest.mark.parametrize("planned", [False, True])
 def test_sets_are_what_the_formulas_say(planned: bool) -> None:
     stream = Stream(CAR, planned=planned)
-    terms, model, record = stream.models._terms, stream.models._model, stream.models._record
+    spec, model, record = stream.models._spec, stream.models._model, stream.models._record
     x, u = drive(420, 1)
     batch = batch_of(x, u, CAR)
     stream.take(batch.take(np.arange(400)))
     k = 399
-    found = boxes_of(stream, u[None, k + 1 : k + terms.horizon])
+    found = boxes_of(stream, u[None, k + 1 : k + spec.horizon])
     t = batch.t
-    phi = slow_features(t, x, u, k, terms)
+    phi = slow_features(t, x, u, k, spec)
     z = np.clip((phi - model.mean[0]) / model.scale[0], -model.limit[0], model.limit[0])
-    center = slow_center(x[k], (z @ model.matrix[0]).reshape(terms.horizon, terms.n), terms)
+    center = slow_center(x[k], (z @ model.matrix[0]).reshape(spec.horizon, spec.n), spec)
     np.testing.assert_allclose(found.center[0], center, rtol=1e-9, atol=1e-9)
-    for h in range(terms.horizon):
-        psi = np.minimum(slow_sizes(t, x, u, k, h, terms), record.clip[0, h])
+    for h in range(spec.horizon):
+        psi = np.minimum(slow_sizes(t, x, u, k, h, spec), record.clip[0, h])
         half = record.margin[0, OTHERS, h] * np.sqrt(psi @ record.shape[0, h])
         np.testing.assert_allclose(found.half[0, h], half, rtol=1e-6)
         turned = np.diag(half)
@@ -223,7 +223,7 @@ def test_missing_samples_are_counted() -> None:
     models = stream.models
     told = int(models.missing(stream.slots)[0])
     assert not models.ready(stream.slots)[0]
-    assert told == models.least + models._terms.reach + models._terms.horizon
+    assert told == models.least + models._spec.reach + models._spec.horizon
     for k in range(told):
         assert int(models.missing(stream.slots)[0]) == told - k
         stream.take(batch_of(x[k : k + 1], u[k : k + 1], CAR, first=k))
@@ -304,7 +304,7 @@ def test_the_least_window_is_the_first_that_leaves_three_scores_beyond_the_margi
     first = least_window(confidence)
     for window in (first - 1, first):
         beyond = window - math.ceil((window + 1) * written)
-        assert left_outside(window, confidence) == beyond == rank_from_top(window, confidence) - 1
+        assert scores_beyond(window, confidence) == beyond == rank_from_top(window, confidence) - 1
         assert (beyond >= LEAST_BEYOND) == (window == first) == ((1 - written) * (window + 1) >= 4)
 
 
@@ -314,7 +314,7 @@ def test_of_as_many_scores_as_the_window_holds_the_stated_number_lies_beyond_the
     for window, beyond in ((300, 2), (398, 2), (399, 3)):
         held = codes[:window]
         margin = rank_statistic(held, window, 0, 0.99, 0, 1)
-        assert int((held > encoded_score(margin)).sum()) == beyond == left_outside(window, 0.99)
+        assert int((held > encoded_score(margin)).sum()) == beyond == scores_beyond(window, 0.99)
 
 
 def test_a_model_of_later_inputs_wants_a_plan() -> None:

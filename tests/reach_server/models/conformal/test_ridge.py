@@ -12,19 +12,19 @@ from reach_server.numeric.types import FloatArray
 from tests.reach_server.models.conformal.streams import CAR, Stream, batch_of, drive, rings, slow_features
 from tests.reach_server.models.conformal.streams import slow_increment as increment
 
-TERMS = FeatureSpec.of(CAR, RegressorSpec.of(CAR), CAR.horizon, planned=True)
-BEGIN = ridge.first_columns(TERMS)
+SPEC = FeatureSpec.of(CAR, RegressorSpec.of(CAR), CAR.horizon, planned=True)
+BEGIN = ridge.first_columns(SPEC)
 
 
 def data(rows: int, seed: int) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    z = rng.normal(size=(rows, TERMS.total)) * rng.uniform(0.5, 3.0, TERMS.total)
+    z = rng.normal(size=(rows, SPEC.total)) * rng.uniform(0.5, 3.0, SPEC.total)
     z[:, 0] = 1.0
-    return z, rng.normal(size=(rows, TERMS.horizon * TERMS.n))
+    return z, rng.normal(size=(rows, SPEC.horizon * SPEC.n))
 
 
 def summed(z: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    gram, cross = np.zeros((TERMS.total, TERMS.total)), np.zeros((TERMS.total, y.shape[1]))
+    gram, cross = np.zeros((SPEC.total, SPEC.total)), np.zeros((SPEC.total, y.shape[1]))
     for k in range(len(z)):
         ridge.add(z[k], y[k], 1.0, gram, cross)
     return gram, cross
@@ -39,10 +39,10 @@ def test_every_step_is_the_ridge_regression_on_its_own_features(strength: float)
     ridge.solve(lower, cross, BEGIN, matrix)
     spread = np.maximum(((z - z.mean(axis=0)) ** 2).sum(axis=0), len(z))
     spread[0] = 0.0
-    for h in range(TERMS.horizon):
-        size = TERMS.base + h * TERMS.later
+    for h in range(SPEC.horizon):
+        size = SPEC.base + h * SPEC.later
         front = z[:, :size]
-        columns = slice(h * TERMS.n, (h + 1) * TERMS.n)
+        columns = slice(h * SPEC.n, (h + 1) * SPEC.n)
         wanted = np.linalg.solve(front.T @ front + strength * np.diag(spread[:size]), front.T @ y[:, columns])
         np.testing.assert_allclose(matrix[:size, columns], wanted, rtol=1e-7, atol=1e-9)
         np.testing.assert_array_equal(matrix[size:, columns], 0.0)
@@ -69,7 +69,7 @@ def test_sums_carried_on_are_those_of_the_window(planned: bool) -> None:
     """Fitted once, carried over three windows with gaps: what has entered and left is what is there."""
     profile = CAR.model_copy(update={"window": 250})
     stream = Stream(profile, planned=planned)
-    terms = stream.models._terms
+    spec = stream.models._spec
     x, u = drive(1300, 3)
     u[700] = np.nan
     x[[400, 850]] += 0.5
@@ -79,21 +79,21 @@ def test_sums_carried_on_are_those_of_the_window(planned: bool) -> None:
         stream.take(batch_of(x[a:b], u[a:b], profile, first=first))
         stream.models._renewal[:] = 10**9
         if stream.models.ready(stream.slots).all() and stream.models.known(stream.slots).all():
-            stream.models.predict(stream.slots, u[None, b : b + terms.horizon - 1] if b < 1298 else u[None, :2])
+            stream.models.predict(stream.slots, u[None, b : b + spec.horizon - 1] if b < 1298 else u[None, :2])
     assert stream.models.ready(stream.slots).all()
     model, count = stream.models._model, int(stream.window.count[0])
-    assert count - model.newest[0] - terms.horizon < 10
+    assert count - model.newest[0] - spec.horizon < 10
     assert model.oldest[0] > 900
     ring = rings(stream.window)
     size, total = stream.window.size, 0
-    gram, cross = np.zeros((terms.total, terms.total)), np.zeros((terms.total, terms.horizon * terms.n))
+    gram, cross = np.zeros((spec.total, spec.total)), np.zeros((spec.total, spec.horizon * spec.n))
     for number in range(model.oldest[0], model.newest[0]):
-        if not features.usable(ring.run[0], ring.known[0], ring.gated[0], number, terms):
+        if not features.usable(ring.run[0], ring.known[0], ring.gated[0], number, spec):
             continue
-        order = np.arange(number - terms.reach, number + terms.horizon + 1) % size
+        order = np.arange(number - spec.reach, number + spec.horizon + 1) % size
         t, states, inputs = ring.t[0, order], ring.x[0, order], ring.u[0, order]
-        z = (slow_features(t, states, inputs, terms.reach, terms) - model.mean[0]) / model.scale[0]
-        y = np.concatenate([increment(t, states, terms.reach + h, terms) for h in range(terms.horizon)])
+        z = (slow_features(t, states, inputs, spec.reach, spec) - model.mean[0]) / model.scale[0]
+        y = np.concatenate([increment(t, states, spec.reach + h, spec) for h in range(spec.horizon)])
         gram += np.outer(z, z)
         cross += np.outer(z, y)
         total += 1

@@ -74,14 +74,14 @@ def test_where_one_score_may_lie_beyond_both_groups_have_the_greatest_of_all() -
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.6, 0.9, 0.97]))
 def test_kept_rank_statistics_are_those_of_all_scores(seed: int, confidence: float) -> None:
     rng = np.random.default_rng(seed)
-    places, kinds = 60, 2
-    record = np.zeros((places, kinds), dtype=np.uint16)
+    indices, kinds = 60, 2
+    record = np.zeros((indices, kinds), dtype=np.uint16)
     known, limits = np.zeros(kinds, dtype=np.int64), np.full(kinds, math.inf)
     for _ in range(400):
-        place, kind = int(rng.integers(places)), int(rng.integers(kinds))
+        index, kind = int(rng.integers(indices)), int(rng.integers(kinds))
         # Few values, so that many are equal.
         score = math.nan if rng.random() < 0.1 else float(rng.integers(12))
-        scores.write(record, known, limits, place, kind, score, confidence, 0, 1)
+        scores.write(record, known, limits, index, kind, score, confidence, 0, 1)
         for which in range(kinds):
             there = np.sort([scores.decoded_score(code) for code in record[:, which].tolist() if code])
             rank = math.ceil((len(there) + 1) * confidence - 1e-9)

@@ -33,7 +33,7 @@ def value(graph: Symbolic, x: FloatArray, last: FloatArray, t: float, k: float, 
     function = casadi.Function("f", [graph.states, graph.constants, graph.context], [graph.value])
     times = {"t": t, "k": k, "last t": last_t}
     context = [last[g] if isinstance(g, int) else times[g] for g in graph.given]
-    return float(function(x[list(graph.places)], list(graph.numbers), context))
+    return float(function(x[list(graph.coordinates)], list(graph.numbers), context))
 
 
 @settings(max_examples=examples(200))
@@ -82,12 +82,12 @@ def test_where_an_expression_is_defined(expression: Expression, demands: list[st
 def test_numbers_stay_as_they_were_written() -> None:
     graph = symbolic(Sum((Number(0.1), Number(0.2), Negation(Number(0.1)), A)), INDEX)
     assert graph.numbers == (0.1, 0.2)
-    assert graph.places == (0,)
+    assert graph.coordinates == (0,)
 
 
 def test_two_names_of_one_state_are_one_symbol() -> None:
     graph = symbolic(Sum((A, Negation(B), Last("a"), Last("b"), Last("t"), Time())), {"a": 4, "b": 4})
-    assert graph.places == (4,)
+    assert graph.coordinates == (4,)
     assert graph.given == (4, "last t", "t")
 
 

@@ -1,4 +1,4 @@
-"""What fixed strips come to on many sets: the loops behind ``LinearCutter.status``, compiled.
+"""Verdicts of fixed strips on many sets, compiled: the loops behind ``HalfspaceEnclosure.verdict``.
 
 The range of each linear form is an outer bound: sums and products that are no floating-point numbers are rounded
 outwards by one unit in the last place.
@@ -9,14 +9,14 @@ import numpy as np
 from reach_server.numeric.jit import kernel
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray
-from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER, Status
+from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER, Verdict
 from reach_server.sets.kernels.strip import EMPTY_MARGIN
 
 _HOLDS, _MAY_HOLD, _NEVER = HOLDS, MAY_HOLD, NEVER
 
 
 @kernel
-def fixed_status(
+def fixed_verdict(
     normal: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
@@ -24,7 +24,7 @@ def fixed_status(
     moved_upper: FloatArray,
     center: FloatArray,
     generators: FloatArray,
-) -> Status:
+) -> Verdict:
     """``HOLDS`` (R,) where all of a zonotope (R, n), (R, n, g) lies in all C strips (C, n), (C,), (C,); ``NEVER`` where
     it misses one of those with the moved bounds (C,), by more than rounding; else ``MAY_HOLD``."""
     rows, n = center.shape

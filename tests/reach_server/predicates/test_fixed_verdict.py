@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from reach_server.numeric.types import FloatArray
-from reach_server.predicates.fixed_status import fixed_status
+from reach_server.predicates.fixed_verdict import fixed_verdict
 from reach_server.predicates.interface import HOLDS, MAY_HOLD, NEVER
 
 
@@ -30,7 +30,7 @@ def test_what_is_certain_is_so_in_exact_arithmetic(scale: float) -> None:
         # Bounds on, just inside and just outside of what the form can come to.
         lower = np.array([float(low) + scale * rng.choice([-1e-3, -1e-17, 0.0, 1e-3, 3.0])])
         upper = np.array([max(float(high) + scale * rng.choice([1e-3, 0.0, 1e-17, -1e-3, -9.0]), lower[0])])
-        (found,) = fixed_status(normal, lower, upper, lower, upper, center, generators).tolist()
+        (found,) = fixed_verdict(normal, lower, upper, lower, upper, center, generators).tolist()
         seen.add(found)
         if found == HOLDS:
             assert Fraction(lower[0]) <= low
@@ -43,8 +43,8 @@ def test_what_is_certain_is_so_in_exact_arithmetic(scale: float) -> None:
 def test_a_point_on_the_border_is_in() -> None:
     center, nothing = np.array([[1.998, -0.5]]), np.zeros((1, 2, 0))
     normal, lower, upper = np.eye(2), np.array([-1.0, -0.5]), np.array([1.998, 3.0])
-    assert fixed_status(normal, lower, upper, lower, upper, center, nothing).tolist() == [HOLDS]
-    assert fixed_status(normal, lower, upper, lower, upper, center + 0.1, nothing).tolist() == [NEVER]
+    assert fixed_verdict(normal, lower, upper, lower, upper, center, nothing).tolist() == [HOLDS]
+    assert fixed_verdict(normal, lower, upper, lower, upper, center + 0.1, nothing).tolist() == [NEVER]
 
 
 def test_all_strips_have_to_hold_and_one_missed_is_enough() -> None:
@@ -55,4 +55,4 @@ def test_all_strips_have_to_hold_and_one_missed_is_enough() -> None:
         (wide, wide, HOLDS), (wide, narrow, MAY_HOLD), (wide, beyond, NEVER), (narrow, beyond, NEVER)
     ):  # fmt: skip
         lower, upper = np.array([first[0], second[0]]), np.array([first[1], second[1]])
-        assert fixed_status(normal, lower, upper, lower, upper, center, generators).tolist() == [wanted]
+        assert fixed_verdict(normal, lower, upper, lower, upper, center, generators).tolist() == [wanted]
