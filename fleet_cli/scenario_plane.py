@@ -1,9 +1,9 @@
 """Where the regions of a scenario hold, on a raster over the plane of its first two states."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from side_info.stl.expression import (
     Sum,
     Time,
 )
+from side_info.stl.functions import FUNCTIONS
 from side_info.stl.nnf import Conjunction, Constant, Disjunction, Literal, Normal
 from side_info.stl.normal_form import literals_in
 from side_info.stl.predicates import DiscPredicate, LinearPredicate, Predicate
@@ -170,23 +171,6 @@ def _predicate_margin(predicate: Predicate, grid: Mapping[str, FloatArray]) -> F
     return np.asarray(np.nan_to_num(value, nan=_FAR, posinf=_FAR, neginf=-_FAR))
 
 
-_FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
-    "abs": np.abs,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "atan2": np.arctan2,
-    "hypot": lambda *parts: np.sqrt(sum(part * part for part in parts)),
-    "norm": lambda *parts: np.sqrt(sum(part * part for part in parts)),
-    "sumsqr": lambda *parts: sum(part * part for part in parts),
-    "min": lambda *parts: reduce(np.minimum, parts),
-    "max": lambda *parts: reduce(np.maximum, parts),
-}
-
-
 def _value(expression: Expression, grid: Mapping[str, FloatArray]) -> FloatArray:
     match expression:
         case Number(value):
@@ -204,5 +188,5 @@ def _value(expression: Expression, grid: Mapping[str, FloatArray]) -> FloatArray
         case Power(base, exponent):
             return np.power(_value(base, grid), _value(exponent, grid))
         case Call(function, arguments):
-            return np.asarray(_FUNCTIONS[function](*(_value(argument, grid) for argument in arguments)))
+            return np.asarray(FUNCTIONS[function].array(*(_value(argument, grid) for argument in arguments)))
     raise TypeError(f"{expression} has no value in the plane")

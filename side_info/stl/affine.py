@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Final
 
 from side_info.documents.source_location import Excerpt
 from side_info.stl.expression import (
@@ -25,9 +24,7 @@ from side_info.stl.expression import (
     parts_of,
     with_parts,
 )
-
-# A power of a power of a power would fill the memory with digits.
-_MAX_BITS: Final = 4_000
+from side_info.stl.functions import FUNCTIONS, MAX_BITS, Exact, NoNumberError, bits, nearest_double, of_doubles
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +74,7 @@ def affine_form(expression: Expression, excerpt: Excerpt) -> Affine:
             forms = [affine_form(argument, excerpt) for argument in arguments]
             if any(form.coefficients for form in forms):
                 return _symbol(expression)
-            return _number(_value(function, [form.constant for form in forms], expression.at, excerpt))
+            return _number(_value(FUNCTIONS[function].exact, [form.constant for form in forms], expression.at, excerpt))
     return _symbol(expression)
 
 
@@ -102,23 +99,9 @@ def with_folded_numbers(expression: Expression, excerpt: Excerpt) -> Expression:
 def to_double(value: Fraction, at: int, excerpt: Excerpt) -> float:
     """Nearest double; raise ``ScenarioError`` if that is infinite, or zero where ``value`` is not."""
     try:
-        double = float(value)
-    except OverflowError:
-        double = math.inf
-    if math.isinf(double) or (value and not double):
-        raise excerpt.error(at, "a number leaves the range of double precision")
-    return double
-
-
-def root(value: Fraction) -> Fraction:
-    """Square root: exact if it is rational, else to more digits than a double has."""
-    p, q = value.numerator, value.denominator
-    shift = 0
-    if math.isqrt(p) ** 2 != p or math.isqrt(q) ** 2 != q:
-        # sqrt(p / q) = sqrt(p q 4^s) / (q 2^s), s large enough for more digits than a double has
-        shift = max(0, 64 - (p * q).bit_length() // 2)
-        p, q = p * q << 2 * shift, q * q << 2 * shift
-    return Fraction(math.isqrt(p), math.isqrt(q))
+        return nearest_double(value)
+    except NoNumberError as error:
+        raise excerpt.error(at, str(error)) from None
 
 
 def _number(value: Fraction) -> Affine:
@@ -155,43 +138,15 @@ def _power(power: Power, base: Affine, exponent: Affine, excerpt: Excerpt) -> Af
     if n.denominator != 1:
         if value < 0:
             raise excerpt.error(power.base.at, "a negative number has no power that is not whole")
-        return _number(_of_doubles(math.pow, [value, n], power.at, excerpt))
-    if _bits(value) * abs(n) > _MAX_BITS:
+        return _number(_value(of_doubles(math.pow), [value, n], power.at, excerpt))
+    if bits(value) * abs(n) > MAX_BITS:
         raise excerpt.error(power.exponent.at, "the power has too many digits: expected one of moderate size")
     return _number(value ** int(n))
 
 
-def _value(function: str, values: list[Fraction], at: int, excerpt: Excerpt) -> Fraction:
+def _value(function: Exact, values: list[Fraction], at: int, excerpt: Excerpt) -> Fraction:
     """Value of a function of numbers."""
-    match function:
-        case "abs":
-            return abs(values[0])
-        case "min":
-            return min(values)
-        case "max":
-            return max(values)
-        case "norm" | "hypot" | "sumsqr":
-            if max(map(_bits, values)) > _MAX_BITS:
-                raise excerpt.error(at, f"the argument of {function} has too many digits")
-            total = sum((value * value for value in values), Fraction(0))
-            return total if function == "sumsqr" else root(total)
-        case "sqrt" if values[0] >= 0:
-            return root(values[0])
-        case "log" if values[0] > 0:
-            return _of_doubles(math.log, values, at, excerpt)
-        case "sqrt" | "log":
-            raise excerpt.error(at, f"{function} of {float(values[0]):g} is no number")
-    return _of_doubles(getattr(math, function), values, at, excerpt)
-
-
-def _of_doubles(function: object, values: list[Fraction], at: int, excerpt: Excerpt) -> Fraction:
-    assert callable(function)
-    doubles = [to_double(value, at, excerpt) for value in values]
     try:
-        return Fraction(float(function(*doubles)))
-    except (OverflowError, ValueError):
-        raise excerpt.error(at, "a number leaves the range of double precision") from None
-
-
-def _bits(value: Fraction) -> int:
-    return max(value.numerator.bit_length(), value.denominator.bit_length())
+        return function(values)
+    except NoNumberError as error:
+        raise excerpt.error(at, str(error)) from None

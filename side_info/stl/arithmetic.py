@@ -7,7 +7,7 @@ from lark import Token
 from fleet_bus.errors import ScenarioError
 from side_info.documents.hints import close, word_or_function
 from side_info.documents.source_location import Excerpt
-from side_info.stl.declarations import FUNCTIONS, Declarations
+from side_info.stl.declarations import Declarations
 from side_info.stl.expression import (
     Call,
     Expression,
@@ -22,6 +22,7 @@ from side_info.stl.expression import (
     Sum,
     Time,
 )
+from side_info.stl.functions import FUNCTIONS
 from side_info.stl.parser import Branch, start_of
 
 
@@ -94,7 +95,7 @@ def _call(children: list[Branch], excerpt: Excerpt, declared: Declarations) -> E
     if function not in FUNCTIONS:
         problem = f"unknown function {str(function)[:40]!r}: expected one of {', '.join(FUNCTIONS)}"
         raise excerpt.error(at, problem + word_or_function(str(function), FUNCTIONS))
-    least, most = FUNCTIONS[str(function)]
+    least, most = FUNCTIONS[str(function)].least, FUNCTIONS[str(function)].most
     if not least <= len(arguments) <= (most or len(arguments)):
         wrong = start_of(arguments[least]) if len(arguments) > least else at
         expected = "one argument" if least == 1 else "two arguments"

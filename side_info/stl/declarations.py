@@ -4,11 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-#: Functions, with the least and the largest number of their arguments (None: any).
-FUNCTIONS: Final[Mapping[str, tuple[int, int | None]]] = {
-    "abs": (1, 1), "sqrt": (1, 1), "exp": (1, 1), "log": (1, 1), "sin": (1, 1), "cos": (1, 1), "tan": (1, 1),
-    "atan2": (2, 2), "hypot": (1, None), "norm": (1, None), "sumsqr": (1, None), "min": (1, None), "max": (1, None),
-}  # fmt: skip
+from side_info.stl.functions import FUNCTIONS
 
 #: Words of the language: none of them can be the name of a state, region or parameter.
 RESERVED: Final = frozenset(

@@ -18,7 +18,7 @@ from fractions import Fraction
 from typing import Final
 
 from side_info.documents.source_location import Excerpt
-from side_info.stl.affine import Affine, affine_form, root, to_double, with_folded_numbers
+from side_info.stl.affine import Affine, affine_form, to_double, with_folded_numbers
 from side_info.stl.connectives import FALSE, TRUE, conjunction, disjunction
 from side_info.stl.expression import (
     Call,
@@ -35,6 +35,7 @@ from side_info.stl.expression import (
     substituted,
     with_parts,
 )
+from side_info.stl.functions import FUNCTIONS, root
 from side_info.stl.nnf import Normal
 from side_info.stl.predicates import DiscPredicate, LinearPredicate, NonlinearPredicate, Predicate
 
@@ -43,8 +44,6 @@ MAX_WORK: Final = 100_000
 
 #: Different ones in one inequality; so deep do the cases nest.
 MAX_KINKS: Final = 32
-
-_KINKED: Final = ("abs", "min", "max")
 
 
 @dataclass(slots=True)
@@ -222,7 +221,7 @@ def _is_affine(form: Affine) -> bool:
 
 
 def _is_kink(expression: Expression) -> bool:
-    return isinstance(expression, Call) and expression.function in _KINKED and bool(names_of(expression))
+    return isinstance(expression, Call) and not FUNCTIONS[expression.function].smooth and bool(names_of(expression))
 
 
 def _branches(kink: Call) -> tuple[Expression, ...]:

@@ -18,7 +18,8 @@ from side_info.documents.document import RegionFields, ScenarioFields, TimeField
 from side_info.documents.lint import MANY_PREDICATES, lint
 from side_info.documents.yaml_text import MAX_BYTES
 from side_info.progression import Table
-from side_info.stl.declarations import FUNCTIONS, RESERVED
+from side_info.stl.declarations import RESERVED
+from side_info.stl.functions import FUNCTIONS
 from side_info.stl.inequality import MAX_KINKS, MAX_WORK
 from side_info.stl.normal_form import MAX_PREDICATES, MAX_SIZE
 from side_info.stl.parser import MAX_DEPTH, MAX_LENGTH

@@ -124,6 +124,7 @@ COMPARISONS: Final = [
     ("x1^2 / abs(0) >= 0", 8, "division by zero"),
     ("((9^99)^99)^99 >= x1", 9, "too many digits"),
     ("sqrt(-2) <= x1", 1, "sqrt of -2 is no number"),
+    ("sqrt(0 - 1e308 * 1e308) <= x1", 1, "a number leaves the range of double precision"),
     ("x1 * x2 >= log(0)", 12, "log of 0 is no number"),
     ("(1 - 3)^0.5 <= x1", 2, "a negative number has no power that is not whole"),
     ("exp(1000) >= x1", 1, "leaves the range of double precision"),

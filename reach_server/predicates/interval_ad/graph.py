@@ -1,6 +1,6 @@
 """Expressions of the scenario language as CasADi graphs: what they depend on, and where they are defined."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Final, Literal
@@ -23,9 +23,8 @@ from side_info.stl.expression import (
     Sum,
     Time,
 )
+from side_info.stl.functions import FUNCTIONS, Demand
 
-#: What an operand must be for its operation to be defined.
-Demand = Literal["nonzero", "nonnegative", "positive"]
 #: Quantities of the context: time, steps ahead, time of the last received sample, or a state at it by its place.
 Given = Literal["t", "k", "last t"] | int
 
@@ -142,42 +141,18 @@ class _Writer:
         demand: Demand = "nonnegative" if isinstance(exponent, Number) else "positive"
         return self._demanded(base, demand) ** self.write(exponent)
 
-    def _call(self, function: str, arguments: list[casadi.SX]) -> casadi.SX:
-        match function, arguments:
-            case "sqrt", [argument]:
-                return casadi.sqrt(self._demanded(argument, "nonnegative"))
-            case "log", [argument]:
-                return casadi.log(self._demanded(argument, "positive"))
-            case "tan", [argument]:
-                self._demanded(casadi.cos(argument), "nonzero")
-                return casadi.tan(argument)
-            case "sumsqr", _:
-                return _squares(arguments)
-            case (("norm" | "hypot"), _):
-                return casadi.sqrt(_squares(arguments))
-            case (("min" | "max"), _):
-                return reduce(casadi.fmin if function == "min" else casadi.fmax, arguments)
-            case "atan2", [y, x]:
-                return casadi.atan2(y, x)
-            case _, [argument] if function in _ELEMENTARY:
-                return _ELEMENTARY[function](argument)
-        raise ScenarioError(f"the function {function} of {len(arguments)} arguments cannot be compiled")
-
-
-_ELEMENTARY: Final[dict[str, Callable[[casadi.SX], casadi.SX]]] = {
-    "abs": casadi.fabs,
-    "exp": casadi.exp,
-    "sin": casadi.sin,
-    "cos": casadi.cos,
-}
+    def _call(self, name: str, arguments: list[casadi.SX]) -> casadi.SX:
+        function = FUNCTIONS.get(name)
+        if function is None or not function.least <= len(arguments) <= (function.most or len(arguments)):
+            raise ScenarioError(f"the function {name} of {len(arguments)} arguments cannot be compiled")
+        if function.needs is not None:
+            demand, operand = function.needs
+            self._demanded(operand(casadi, *arguments), demand)
+        return casadi.SX(function.graph(casadi, *arguments))
 
 
 def _stacked(symbols: Collection[casadi.SX]) -> casadi.SX:
     return casadi.vertcat(*symbols) if symbols else casadi.SX(0, 1)
-
-
-def _squares(arguments: list[casadi.SX]) -> casadi.SX:
-    return reduce(casadi.plus, (argument * argument for argument in arguments))
 
 
 def _whole(exponent: Expression) -> int | None:
