@@ -1,0 +1,81 @@
+"""Build the wheel, install it into a fresh environment, and run it from an empty folder: all that it needs is in it."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import venv
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = tuple(sorted(path.parent for path in ROOT.glob("*/__init__.py")))
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    """What a command prints; this one ends where it fails. Neither this tree nor this environment is seen by it."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
+    done = subprocess.run(words, cwd=cwd, env=kept, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{' '.join(map(str, words))} failed:\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def files() -> set[str]:
+    """What the packages hold, as names inside of the wheel."""
+    found = (path for package in PACKAGES for path in package.rglob("*") if path.is_file())
+    return {path.relative_to(ROOT).as_posix() for path in found if path.parent.name != "__pycache__"}
+
+
+def build(folder: Path) -> Path:
+    """Path of the wheel. It is built from a copy: what an older build has left in this tree is not in it."""
+    source = folder / "source"
+    for package in PACKAGES:
+        shutil.copytree(package, source / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+    run(*pip, "wheel", "-q", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, source, cwd=folder)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+def install(wheel: Path, environment: Path) -> Path:
+    """Folder of the commands of a fresh environment with the wheel, which sees the dependencies of this one."""
+    venv.create(environment, with_pip=False, symlinks=True)
+    commands = environment / "bin"
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", commands / "python")
+    run(*pip, "install", "-q", "--no-deps", "--no-index", wheel, cwd=environment)
+    (packages,) = environment.glob("lib/python*/site-packages")
+    # Such a folder is searched last, and its own .pth files, an editable install among them, are not read.
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    return commands
+
+
+def main() -> int:
+    """0 if everything is in the wheel and runs; else what is wrong is printed."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        wheel = build(folder)
+        missing = files() - set(zipfile.ZipFile(wheel).namelist())
+        if missing:
+            sys.exit(f"not in {wheel.name}: {', '.join(sorted(missing))}")
+        commands = install(wheel, folder / "environment")
+        empty = folder / "empty"
+        empty.mkdir()
+        run(commands / "fleet", "--help", cwd=empty)
+        listed = run(commands / "fleet", "scenario", "list", cwd=empty)
+        absent = [path.stem for path in ROOT.glob("side_info/scenarios/*.yaml") if path.stem not in listed]
+        if absent:
+            sys.exit(f"fleet scenario list does not name {', '.join(absent)}:\n{listed}")
+        where = run(commands / "python", "-c", "import reach_server.sets as s; print(s.__file__)", cwd=empty)
+        if not Path(where.strip()).is_relative_to(folder):
+            sys.exit(f"reach_server.sets comes from {where.strip()}, not from the wheel")
+        print(f"{wheel.name}: built, installed, run")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
