@@ -1,4 +1,4 @@
-"""The methods by name: one list, which profiles, tubes, their schemas and the server share."""
+"""Methods and ways to cut by name: one list of each, which profiles, tubes, their schemas and the server share."""
 
 from typing import Final, Literal, get_args
 
@@ -13,3 +13,6 @@ FROM_LIMITS: Final = "limits"
 
 #: The methods that a tube may say it comes from.
 TUBE_METHODS: Final[tuple[str, ...]] = (*METHODS, FROM_LIMITS)
+
+#: A way to cut sets by predicates.
+CutMethod = Literal["zonotope", "constrained", "frobenius"]

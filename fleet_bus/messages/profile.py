@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 from fleet_bus.errors import ProfileError
 from fleet_bus.messages import ranges
 from fleet_bus.messages.documents import Document, Id, explain
-from fleet_bus.messages.methods import Method
+from fleet_bus.messages.methods import CutMethod, Method
 from fleet_bus.units import seconds
 
 Origin = Literal["given", "calibrated"]
@@ -147,7 +147,7 @@ class VehicleProfile(Document):
     roles: Roles = Roles()
     horizon: Annotated[int, ranges.HORIZON] = 10
     method: Literal["default", Method] = "default"
-    cuts: Literal["zonotope", "constrained", "frobenius"] = "zonotope"
+    cuts: CutMethod = "zonotope"
     maps_to: dict[Name, Name] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
-#: A way to cut, as a profile names it.
-CutMethod = Literal["zonotope", "constrained", "frobenius"]
+from fleet_bus.messages.methods import CutMethod
+
+__all__ = ["CUT_KINDS", "CutKind", "CutMethod"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class CutKind:
     passes: int = 1
 
 
-CUT_KINDS: Final[Mapping[str, CutKind]] = {
+CUT_KINDS: Final[Mapping[CutMethod, CutKind]] = {
     "zonotope": CutKind(passes=2),
     "constrained": CutKind(adds_constraints=True),
     "frobenius": CutKind(keeps_larger_result=True),
