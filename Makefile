@@ -11,16 +11,22 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 UV_VERSION := 0.13.9
 ARGS ?=
+# Tests run in so many processes; what runs in real time stays in one of them (tests/conftest.py).
+WORKERS := 2
+PYTEST = $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: help demo paper test campaign lint bench docs requirements clean kernels all-kernels
+.PHONY: help demo paper test test-fast coverage wheel campaign lint bench docs requirements clean kernels all-kernels
 
 help:
 	@echo "make demo          router, services and simulated vehicles on this machine"
 	@echo "make paper         the paper's tables and figures, recomputed"
 	@echo "make test          lint, documentation, tests"
+	@echo "make test-fast     tests that need neither processes in real time nor more than a few seconds"
+	@echo "make coverage      all tests, and how much of the code they run"
+	@echo "make wheel         build the wheel, install it into a fresh environment, run it there"
 	@echo "make campaign      every property on 1000 examples from a fresh seed; FLEET_TEST_EXAMPLES=100000 and"
 	@echo "                   FLEET_TEST_SEED=N say otherwise, ARGS goes to pytest"
-	@echo "make lint          ruff and mypy"
+	@echo "make lint          ruff, mypy, import order of the packages, spelling"
 	@echo "make docs          the documentation into site/"
 	@echo "make bench         speed and tightness beside peers, into bench/"
 	@echo "make requirements  pin anew from pyproject.toml (ARGS=--upgrade: newest versions)"
@@ -33,7 +39,17 @@ paper: all-kernels
 	@$(BIN)/fleet paper $(ARGS)
 
 test: lint docs all-kernels
-	@$(BIN)/python -m pytest -q $(ARGS)
+	@$(PYTEST) $(ARGS)
+
+test-fast: $(VENV)/.dev all-kernels
+	@$(PYTEST) -m "not slow and not integration" $(ARGS)
+
+# What processes that a test starts run, and what is compiled to machine code, is not counted.
+coverage: $(VENV)/.dev all-kernels
+	@$(PYTEST) --cov --cov-report term:skip-covered $(ARGS)
+
+wheel: $(VENV)/.dev
+	@$(BIN)/python .ci/wheel.py
 
 campaign: $(VENV)/.dev all-kernels
 	@FLEET_TEST_SEED="$${FLEET_TEST_SEED:-fresh}" FLEET_TEST_EXAMPLES="$${FLEET_TEST_EXAMPLES:-1000}" \
@@ -43,6 +59,8 @@ lint: $(VENV)/.dev
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy --strict --no-error-summary
+	@said=$$($(BIN)/lint-imports --no-logo --no-cache 2>&1) || { echo "$$said" >&2; exit 1; }
+	@$(BIN)/codespell
 
 docs: $(VENV)/.dev
 	@# Not --quiet: what is not logged, --strict does not count.
@@ -106,5 +124,5 @@ requirements: $(VENV)/.python
 	fi
 
 clean:
-	rm -rf $(VENV) site build dist *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) site build dist *.egg-info .hypothesis .coverage .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -55,13 +55,27 @@ def pytest_report_header() -> str | None:
 # Before tests are selected by their marks.
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Properties that Hypothesis tries are marked as such; a campaign tells how far it is with each."""
+    """Properties that Hypothesis tries are marked as such; a campaign tells how far it is with each.
+
+    Workers share a session by groups (``--dist loadgroup``): a file is one, so that what its tests have in common is
+    computed once; all that run in real time are one, so that they do not slow each other down. That one comes first: it
+    takes longest.
+    """
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: not in_real_time(item))
+        for item in items:
+            item.add_marker(pytest.mark.xdist_group("real-time" if in_real_time(item) else item.path.stem))
     for item in items:
         test = getattr(item, "obj", None)
         if is_hypothesis_test(test):
             item.add_marker("property")
             if campaign():
                 _progress.follow(config, test)
+
+
+def in_real_time(item: pytest.Item) -> bool:
+    """Whether a test starts processes that work in real time."""
+    return item.get_closest_marker("integration") is not None
 
 
 class _Progress:
@@ -118,16 +132,33 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile kernels before the first test that needs them: its limit of time is there to end what hangs."""
-    if session.config.option.collectonly or not session.items or "reach_server.numeric.jit" not in sys.modules:
+    config = session.config
+    if config.option.collectonly or not session.items or "reach_server.numeric.jit" not in sys.modules:
         return
+    # The process that started this worker has seen to it.
+    if not hasattr(config, "workerinput"):
+        make_kernels_ready(config)
+
+
+# Before the plugin that starts the workers.
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile kernels once, not in each worker; which tests the workers will find is not known yet."""
+    config = session.config
+    if getattr(config.option, "tx", None) and not config.option.collectonly:
+        make_kernels_ready(config)
+
+
+def make_kernels_ready(config: pytest.Config) -> None:
+    """Compile what is not in the cache, and say how long that took."""
     from reach_server.service import warm_up
 
     began = time.monotonic()
-    tell(session.config, "making kernels ready: seconds if they are in the cache, else minutes …")
+    tell(config, "making kernels ready: seconds if they are in the cache, else minutes …")
     try:
         with redirect_stderr(io.StringIO()):
             warm_up.main()
     # The tests say better what is wrong.
     except Exception as error:
-        tell(session.config, f"that failed: {type(error).__name__}: {error}")
-    tell(session.config, f"kernels took {time.monotonic() - began:.1f} s")
+        tell(config, f"that failed: {type(error).__name__}: {error}")
+    tell(config, f"kernels took {time.monotonic() - began:.1f} s")
