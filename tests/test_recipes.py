@@ -18,7 +18,10 @@ from fleet_bus.messages import Assignment, ranges
 from fleet_bus.messages.methods import CutMethod
 from fleet_cli.scenario_plane import lay_out
 from reach_server.predicates import Literals
-from reach_server.predicates.cut_kinds import CUT_KINDS
+from reach_server.predicates.apply import cut_sets
+from reach_server.predicates.cut_kinds import CUT_KINDS, CutKind
+from reach_server.sets import Zonotope
+from reach_server.sets.raw import FactorSet
 from side_info import NonlinearPredicate, Scenario
 from side_info.stl.angles import misused_angle
 from side_info.stl.functions import FUNCTIONS, Function, NoNumberError, of_doubles
@@ -209,6 +212,28 @@ def test_a_field_of_a_document_is_checked_described_and_has_its_default() -> Non
 
 def test_every_way_to_cut_that_has_a_name_is_in_the_table() -> None:
     assert set(CUT_KINDS) == set(get_args(CutMethod))
+
+
+@pytest.mark.parametrize("entry", [CutKind(passes=3), CutKind(keeps_larger_result=True, passes=2)])
+def test_a_way_to_cut_of_the_table_is_followed(monkeypatch: pytest.MonkeyPatch, entry: CutKind) -> None:
+    monkeypatch.setitem(CUT_KINDS, "dummy", entry)  # type: ignore[misc]
+    literals = Literals(2, (0, 1), np.zeros((2, 0)))
+    regions = Scenario.parse(DOCUMENT.format(region="x + y <= 0.5 and x^2 + y <= 1"))
+    for predicate in regions.predicates:
+        literals.add(predicate, {"x": 0, "y": 1}, scenario="s", name="p", speed=0.0, margin_ns=0)
+    rng = np.random.default_rng(2)
+    start = FactorSet.zonotope(rng.normal(size=(100, 2)) / 2, rng.normal(size=(100, 2, 4)) / 3)
+    asked = np.ones((100, literals.count), dtype=bool)
+    cut = cut_sets(start, asked, literals, lambda literal, rows: context(len(rows), 2), "dummy", 2, (0, 1))  # type: ignore[arg-type]
+    points = members(rng, start.center, start.generators, 100)
+    holds = (points.sum(axis=2) <= 0.5) & (points[..., 0] ** 2 + points[..., 1] <= 1)
+    left = Zonotope(cut.sets.center, cut.sets.generators)
+    inside = np.stack([np.asarray(left.contains_point(points[:, k])) for k in range(points.shape[1])], axis=1)
+    there = holds & ~cut.empty.any(axis=1, keepdims=True)
+    assert there.any()
+    assert inside[there].all()
+    assert not (holds.any(axis=1) & cut.empty.any(axis=1)).any()
+    assert not inside.all()
 
 
 # --- habits -----------------------------------------------------------------------------------------------------------
