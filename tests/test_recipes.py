@@ -21,7 +21,7 @@ from reach_server.predicates import Literals
 from reach_server.predicates.apply import cut_sets
 from reach_server.predicates.cut_kinds import CUT_KINDS, CutKind
 from reach_server.sets import Zonotope
-from reach_server.sets.raw import FactorSet
+from reach_server.sets.raw import RawSets
 from side_info import NonlinearPredicate, Scenario
 from side_info.stl.angles import misused_angle
 from side_info.stl.functions import FUNCTIONS, Function, NoNumberError, of_doubles
@@ -222,7 +222,7 @@ def test_a_way_to_cut_of_the_table_is_followed(monkeypatch: pytest.MonkeyPatch, 
     for predicate in regions.predicates:
         literals.add(predicate, {"x": 0, "y": 1}, scenario="s", name="p", speed=0.0, margin_ns=0)
     rng = np.random.default_rng(2)
-    start = FactorSet.zonotope(rng.normal(size=(100, 2)) / 2, rng.normal(size=(100, 2, 4)) / 3)
+    start = RawSets.zonotope(rng.normal(size=(100, 2)) / 2, rng.normal(size=(100, 2, 4)) / 3)
     asked = np.ones((100, literals.count), dtype=bool)
     cut = cut_sets(start, asked, literals, lambda literal, rows: context(len(rows), 2), "dummy", 2, (0, 1))  # type: ignore[arg-type]
     points = members(rng, start.center, start.generators, 100)
