@@ -175,7 +175,7 @@ class ConformalPredictor:
         """Make room for ``slots`` vehicles."""
         self._model, self._record = grown(self._model, slots), grown(self._record, slots)
         self._pending = grown(self._pending, slots)
-        for name in ("_revision", "_stale", "_solved", "_renewal", "_chosen_on", "_checksum"):
+        for name in ("_revision", "_outdated", "_solved", "_renewal", "_chosen_on", "_checksum"):
             array = getattr(self, name)
             setattr(self, name, grow_rows(array, slots, array))
 
