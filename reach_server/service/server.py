@@ -40,11 +40,11 @@ from fleet_bus.writers import Source
 from reach_server.data.events import EngineEvent
 from reach_server.service import tube_messages as publish
 from reach_server.service.event_limit import EventLimit
+from reach_server.service.fleet import Fleet
 from reach_server.service.ingest import Ingest, VehicleBatch
 from reach_server.service.load import Load
 from reach_server.service.other_servers import OtherServers
 from reach_server.service.presence import Presence
-from reach_server.service.registry import Fleet
 
 _log = structlog.get_logger(__name__)
 
