@@ -43,8 +43,13 @@ class Network:
     """What buses have in common. Messages arrive at once, on the thread that puts them, in order, and none is lost."""
 
     time: Time = field(default_factory=Time)
-    #: All that was put and is kept, in order, whoever put it; tests clear it.
+    #: All that was put, in order, whoever put it, and keys of messages and of tokens that came; tests may clear both.
     puts: list[Received] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+    #: Called after each message that is put.
+    on_put: Callable[[], object] | None = None
+    #: What every attempt to put a message raises.
+    broken: Exception | None = None
     declared: list[str] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
     publishers: "list[MemoryPublisher]" = field(default_factory=list)
@@ -113,9 +118,14 @@ class MemoryPublisher(MemoryHandle):
 
     def put(self, payload: bytes) -> None:
         message = Received(self.key, payload, self.encoding, None, self.source, arrived_ns=self.network.time.time_ns())
+        if self.network.broken is not None:
+            raise self.network.broken
         self.cache.append(message)
         self.network.puts.append(message)
+        self.network.log.append(self.key)
         self.network.deliver(message)
+        if self.network.on_put is not None:
+            self.network.on_put()
 
 
 class MemoryAnswers(MemoryHandle):
@@ -176,6 +186,7 @@ class MemoryBus:
         handle = MemoryHandle(self.network, key, go)
         self._keep(handle)
         self.network.tokens.append(key)
+        self.network.log.append(key)
         self.network.token(key, True)
         return handle
 
