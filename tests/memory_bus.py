@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from fleet_bus.pubsub import Received
@@ -127,6 +127,11 @@ class MemoryPublisher(MemoryHandle):
         if self.network.on_put is not None:
             self.network.on_put()
 
+    def cached(self, most: int) -> list[Received]:
+        """The newest messages, as they arrive now."""
+        now = self.network.time.time_ns()
+        return [replace(message, arrived_ns=now) for message in list(self.cache)[-most:]]
+
 
 class MemoryAnswers(MemoryHandle):
     def __init__(self, network: Network, expressions: Iterable[str]) -> None:
@@ -170,13 +175,13 @@ class MemoryBus:
         self._keep(handle)
         for publisher in list(self.network.publishers):
             if history and matches(key_expression, publisher.key):
-                for message in list(publisher.cache)[-history:]:
+                for message in publisher.cached(history):
                     callback(message)
         return handle
 
     def query(self, key: str, *, max_samples: int, timeout: float) -> list[Received]:
         asked = [publisher for publisher in list(self.network.publishers) if matches(key, publisher.key)]
-        return [message for publisher in asked for message in list(publisher.cache)[-max_samples:]]
+        return [message for publisher in asked for message in publisher.cached(max_samples)]
 
     def alive(self, key: str) -> MemoryHandle:
         def go() -> None:
