@@ -161,7 +161,7 @@ def follow(task: Task, vehicles: NDArray[np.intp]) -> tuple[FloatArray, NDArray[
         t = np.full(len(slots), (k + 1) * step_ns)
         now = status[:, k]
         began = time.perf_counter()
-        course.see(slots, t, lambda literals, rows, now=now: now[rows][:, literals])  # type: ignore[misc]
+        course.observe(slots, t, lambda literals, rows, now=now: now[rows][:, literals])  # type: ignore[misc]
         seconds[k] = time.perf_counter() - began
     last = course.pursuits[ASSUME].after[slots]
     return seconds, np.where(last == DEAD, -1, np.where(last == table.belief([TRUE]), 1, 0))

@@ -15,8 +15,7 @@ from fleet_bus.messages import EventKind
 from fleet_bus.router import Router
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
-from reach_server.data.window import Block
-from reach_server.side_information.scenarios import Assignments
+from reach_server.side_information import first_contradiction
 from side_info.documents.scenario import Scenario
 
 #: Seconds that the processes have to get ready, and the vehicles to get their first tube.
@@ -245,19 +244,13 @@ class Demo:
 
     def _left_at(self, monitor: Monitor, vehicle: str) -> float | None:
         """Seconds after which the true states left the scenario no way to be true; None if they did not."""
-        profile = monitor.profiles[vehicle]
-        exact = np.zeros((len(profile.state), 0))
         truths = [truth for key, truth in sorted(monitor.truths.items()) if key[0] == vehicle]
-        truths = [truth for truth in truths if truth.t >= monitor.assignments[vehicle].time_zero]
+        zero = monitor.assignments[vehicle].time_zero
+        truths = [truth for truth in truths if truth.t >= zero]
         if not truths:
             return None
-        assignments = Assignments(profile, exact, exact)
-        assignments.assign(0, self.scenario, monitor.assignments[vehicle].time_zero, 0.0)
-        t, x = np.array([[truth.t for truth in truths]]), np.array([[truth.x for truth in truths]])
-        yes = np.ones(t.shape, dtype=bool)
-        block = Block(t, x, np.zeros((*t.shape, 0)), yes, yes, yes)
-        events = assignments.receive(np.array([0]), [vehicle], t[:, -1], lambda slots, length: block)
-        return float(events[0].details["elapsed"]) if events else None
+        t, x = np.array([truth.t for truth in truths]), np.array([truth.x for truth in truths])
+        return first_contradiction(self.scenario, monitor.profiles[vehicle], t, x, zero)
 
     def _evaluation(self, monitor: Monitor, steps: list[dict[str, Any]]) -> dict[str, Any]:
         labels: dict[str, int] = {}

@@ -6,7 +6,6 @@ The only module of the package that knows clocks and the network.
 import heapq
 import math
 import threading
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,11 +15,13 @@ import numpy as np
 import structlog
 
 from fleet_bus import keys
+from fleet_bus.bus import Bus, Publisher
+from fleet_bus.clock import SYSTEM, Clock
 from fleet_bus.errors import MessageError, ProfileError, UsageError
 from fleet_bus.messages import StateFlag, StateSample, VehicleProfile
 from fleet_bus.messages.state import ENCODING
-from fleet_bus.pubsub import CachedPublisher, declare_alive, declare_cached_publisher
 from fleet_bus.rejections import Rejections
+from fleet_bus.zenoh_bus import as_bus
 from vehicle_agent.filters import Filter
 from vehicle_agent.sources import Reading, Source
 
@@ -61,23 +62,29 @@ class Agent:
 
     The state cache holds the window with its lags and the history, so that a server that comes later finds
     all of it. The liveliness token appears with ``start``, after the history: who sees it can fetch
-    everything at once.
+    everything at once. ``session`` may be any ``Bus``; ``clock`` tells the time of the start.
 
     Raises ``KeyIdError`` for an unusable vehicle id, ``ProfileError`` if source and profile do not fit.
     """
 
     def __init__(
-        self, session: "zenoh.Session", vehicle: str, profile: VehicleProfile, source: Source, filter: Filter
+        self,
+        session: "zenoh.Session | Bus",
+        vehicle: str,
+        profile: VehicleProfile,
+        source: Source,
+        filter: Filter,
+        clock: Clock = SYSTEM,
     ) -> None:
         keys.check_id(vehicle)
         _check_fit(profile, source)
         self.vehicle = vehicle
-        self._session = session
+        self._bus = as_bus(session)
         self._profile = profile
         self._filter = filter
         self._readings: Iterator[Reading] = iter(source)
         self._upcoming: Reading | None = None
-        self._epoch = time.time_ns()
+        self._epoch = clock.time_ns()
         self._seq = 0
         self._last_t = 0
         self._new_trajectory = False
@@ -93,8 +100,8 @@ class Agent:
             self._declared.close()
             raise
 
-    def _publisher(self, key: str, encoding: str, cache: int) -> CachedPublisher:
-        return self._declared.enter_context(declare_cached_publisher(self._session, key, encoding, cache=cache))
+    def _publisher(self, key: str, encoding: str, cache: int) -> Publisher:
+        return self._declared.enter_context(self._bus.publisher(key, encoding, cache=cache))
 
     def close(self) -> None:
         """Take everything back from the bus; closing again does nothing."""
@@ -128,7 +135,7 @@ class Agent:
         self._profiles.put(self._profile.encode())
         while (reading := self.upcoming) is not None and StateFlag.HISTORY in reading.flags:
             self.publish(origin)
-        self._declared.enter_context(declare_alive(self._session, keys.alive(self.vehicle)))
+        self._declared.enter_context(self._bus.alive(keys.alive(self.vehicle)))
 
     def publish(self, origin: int) -> None:
         """Publish ``upcoming``, stamped ``origin`` (Unix ns) plus its own time, or count why not."""
@@ -189,7 +196,7 @@ class Agent:
         self._skips.count(MessageError(reason, detail), keys.state(self.vehicle))
 
 
-def run(agents: Sequence[Agent], stop: threading.Event, speed: float = 1.0) -> dict[str, Report]:
+def run(agents: Sequence[Agent], stop: threading.Event, speed: float = 1.0, clock: Clock = SYSTEM) -> dict[str, Report]:
     """Publish the readings of ``agents`` as they fall due, ``speed`` times as fast, till ``stop`` or the end.
 
     Histories go out first, at once; then all live drives start together, their stamps counted from that
@@ -205,8 +212,8 @@ def run(agents: Sequence[Agent], stop: threading.Event, speed: float = 1.0) -> d
     for agent in agents:
         if stop.is_set():
             break
-        agent.start(time.time_ns())
-    origin, began = time.time_ns(), time.monotonic()
+        agent.start(clock.time_ns())
+    origin, began = clock.time_ns(), clock.monotonic()
     queue: list[tuple[float, int]] = []
 
     def enqueue(index: int) -> None:
@@ -217,7 +224,7 @@ def run(agents: Sequence[Agent], stop: threading.Event, speed: float = 1.0) -> d
         enqueue(index)
     while queue:
         due, index = queue[0]
-        if stop.wait(max(0.0, began + due - time.monotonic())):
+        if clock.wait(stop, max(0.0, began + due - clock.monotonic())):
             break
         heapq.heappop(queue)
         agents[index].publish(origin)

@@ -1,13 +1,11 @@
-"""One step for a batch of vehicles of a class: windows, models, tubes, audit. Arrays in, arrays out; no clock."""
+"""The vehicles of one class: their slots, samples, scenarios and audit, and a step for a batch of them. No clock."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import Audit, EventKind, StateFlag, VehicleProfile
-from fleet_bus.messages.methods import FROM_LIMITS
 from reach_server.audit.coverage import CoverageRecord
 from reach_server.audit.labels import Labels
 from reach_server.data import ring_buffer as ring
@@ -16,22 +14,13 @@ from reach_server.data.readiness import too_few
 from reach_server.data.window import AppendReport, Block, SampleBatch, Window
 from reach_server.engine import notices
 from reach_server.engine.results import Tubes
-from reach_server.methods import Forecast, method_of
-from reach_server.methods.request import PlannedInputs, Prior, TubeRequest
-from reach_server.models.kinematic_bounds import limit_sets
-from reach_server.numeric.checks import stack_columns
-from reach_server.numeric.slot_table import take_rows
+from reach_server.engine.tube_builder import TubeBuilder
+from reach_server.methods import method_of
+from reach_server.methods.request import PlannedInputs, TubeRequest
 from reach_server.numeric.types import FloatArray, IndexArray
 from reach_server.predicates.cut_kinds import CUT_KINDS
 from reach_server.sets import support
-from reach_server.sets.polygon import outer_polygon
-from reach_server.sets.raw import RawSets
-from reach_server.side_information.scenarios import Assignments, InitialConditions
-from reach_server.tube.branching_reach import branching
-from reach_server.tube.cut_schedule import CutSchedule, CutScheduler
-from reach_server.tube.reach_sets import ReachSets
-from reach_server.tube.state_bounds import within
-from reach_server.tube.unbranched import box_tubes
+from reach_server.side_information.scenarios import Assignments
 from side_info import Scenario
 
 __all__ = ["Engine", "PlannedInputs"]
@@ -72,16 +61,17 @@ class Engine:
             # Compiles on the first run after an installation, better here than in the middle of a round.
             support.warm_up()
         self._slots: dict[str, int] = {}
-        #: Vehicles of which the data has excluded fitted bounds at some time.
-        self._excluded: set[int] = set()
         self._names: list[str] = []
         #: Slots of vehicles that were removed.
         self._free: list[int] = []
         self._assignments = self._new_assignments()
-        self._plans = self._new_plans()
         self._labels = Labels(profile, claim, self._method.lipschitz, self._method.notes)
         self._record = CoverageRecord(0.0 if self._labels.certain else 1.0 - profile.confidence, self.window.size)
         self._leaps = notices.Leaps()
+        self._builder = TubeBuilder(
+            profile, self.horizon, self.method, self._method,
+            names=self._names, assignments=self._assignments, labels=self._labels, record=self._record,
+        )  # fmt: skip
 
     def _new_assignments(self) -> Assignments:
         received = self._method.bounds.measurement
@@ -150,7 +140,7 @@ class Engine:
         self.window.clear(slot)
         self._method.reset(slot)
         self._record.reset(slot)
-        self._excluded.discard(slot)
+        self._builder.forget(slot)
         self._leaps.forget(slot)
 
     def assign(self, vehicle: str, scenario: Scenario, time_zero: int, clock_offset: float = 0.0) -> None:
@@ -218,12 +208,12 @@ class Engine:
         served, limited, waiting = self._serve(slots, known)
         parts: list[Tubes] = []
         if len(served.slots):
-            parts.append(self._tubes(served, events, waiting))
+            parts.append(self._builder.tubes(served, events, waiting))
         if len(limited.slots):
-            parts.append(self._tubes_from_limits(limited, waiting))
+            parts.append(self._builder.tubes_from_limits(limited, waiting))
         found = [part for part in parts if part.vehicles]
         if not found:
-            return replace(self._no_tubes(waiting), events=tuple(events))
+            return replace(self._builder.no_tubes(waiting), events=tuple(events))
         return replace(found[0] if len(found) == 1 else Tubes.together(found), events=tuple(events), waiting=waiting)
 
     def _receive(self, slots: IndexArray) -> list[EngineEvent]:
@@ -274,147 +264,6 @@ class Engine:
         limited = np.flatnonzero(no_model & ~reasons[0][0] & ~reasons[1][0] & ~strayed)
         return served.rows(np.flatnonzero(~(no_model | refused))), served.rows(limited), waiting
 
-    def _tubes(self, served: TubeRequest, events: list[EngineEvent], waiting: dict[str, str]) -> Tubes:
-        """Tubes of the vehicles that are served; those whose sets are not finite wait instead."""
-        if self.profile.filtered and not self._method.claims_measured:
-            rows, sets = self._record.predictions.prior(served.slots, served.epoch, served.seq)
-            kept = ~self._record.refuted[served.slots[rows]]
-            served = replace(served, prior=Prior(rows[kept], take_rows(sets, kept)))
-        forecast = self._method.forecast(served)
-        instants = self._instants(served, forecast)
-        # Sets that outgrow all numbers are found out where they are complete, and are not published.
-        with np.errstate(over="ignore", invalid="ignore"):
-            reach = self._reach(served, forecast, instants)
-            unseen, held = forecast.outlook.unseen, forecast.outlook.held
-            if forecast.outlook.low is not None and forecast.outlook.high is not None:
-                reach, cut = within(
-                    reach, forecast.outlook.low, forecast.outlook.high, self.profile.position,
-                    np.flatnonzero(self.profile.angles).tolist(),
-                )  # fmt: skip
-                held[:, 0] |= cut
-            publishable = reach.publishable()
-        if not publishable.all():
-            for slot in served.slots[~publishable].tolist():
-                waiting[self._names[slot]] = "the sets grow beyond all numbers within the horizon: shorten it"
-            rows = np.flatnonzero(publishable)
-            served, reach, instants = served.rows(rows), reach.rows(rows), take_rows(instants, rows)
-            unseen, held = unseen[rows], held[rows]
-        events += self._contradictions(served, reach)
-        times = self._times(served)
-        unclaimed = self._labels.unclaimed(np.asarray(unseen.any(axis=1)))
-        self._record.predictions.keep(
-            served.slots, served.epoch, served.seq, times[:, 0], reach.steps[0], reach.free[0]
-        )
-        # What claims nothing is not held against a confidence.
-        self._record.predictions.withhold(served.slots[unclaimed])
-        slots = served.slots.tolist()
-        deficient = self._method.rank_deficient(served.slots)
-        against = np.isin(served.slots, sorted(self._assignments.contradicted()))
-        wrong = self._record.refuted[served.slots] | reach.excluded | self._record.restless(served.slots)
-        if self._labels.audited:
-            wrong = wrong | self._record.outside[served.slots]
-        return Tubes(
-            tuple(self._names[slot] for slot in slots), served.epoch, served.seq, served.t, times,
-            reach.steps, reach.free, reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of(wrong, unclaimed), (self.method,) * len(slots), self._assignments.describe(reach.active),
-            self._labels.notes(deficient, against, reach.emptied, unseen, held),
-            self._verdicts(instants, reach.steps), (), {},
-        )  # fmt: skip
-
-    def _times(self, served: TubeRequest) -> NDArray[np.int64]:
-        steps = np.arange(1, self.horizon + 1)
-        return np.asarray(served.t[:, None] + steps * self.profile.sample_time_ns)
-
-    def _instants(self, served: TubeRequest, forecast: Forecast) -> InitialConditions:
-        # Where true states start is known; measured ones are off by the noise.
-        spread = self._method.bounds.measurement if self._method.claims_measured else forecast.start.generators
-        center, half = forecast.start.center, np.abs(spread).sum(axis=-1)
-        return InitialConditions(served.slots, served.t, center - half, center + half)
-
-    def _reach(self, served: TubeRequest, forecast: Forecast, instants: InitialConditions) -> ReachSets:
-        """Sets of the vehicles that are served: of the straight ones all at once, of the others step by step."""
-        row, obligation, tested = self._assignments.obligations(served.slots)
-        count = len(served.slots)
-        if self._plans.table is not self._assignments.table:
-            self._plans = self._new_plans()
-        if CUT_KINDS[self.profile.cuts].adds_constraints:
-            plan = CutSchedule.nothing(count, self.horizon, len(self.profile.state))
-            plan.unbranched[row] = False
-        else:
-            plan = self._plans.of(row, obligation, tested, self.horizon, *(forecast.ahead() or (None, None)))
-        parts: list[ReachSets] = []
-        stepwise = ~plan.unbranched
-        straight = np.flatnonzero(plan.unbranched)
-        if len(straight):
-            tubes = forecast.unbranched(straight, plan.rows(straight))
-            if tubes is None:
-                stepwise[:] = True
-            else:
-                # Who is to blame for a set of which cuts left nothing is found out step by step.
-                stepwise[straight[tubes.ended >= 0]] = True
-                found = ReachSets.of(tubes, plan, self._assignments.literals.count)
-                kept = np.flatnonzero(~stepwise[straight])
-                parts.append(found if len(kept) == len(straight) else found.rows(kept))
-        others = np.flatnonzero(stepwise)
-        if len(others):
-            chosen = stepwise[row]
-            asked = row[chosen], obligation[chosen], tested
-            parts.append(
-                branching(forecast.motion, forecast.start, others, asked, instants, self._assignments, self.profile)
-            )
-        order = np.argsort(np.concatenate([np.flatnonzero(~stepwise), others]), kind="stable")
-        return ReachSets.together(parts, order)
-
-    def _new_plans(self) -> CutScheduler:
-        side = self._assignments
-        return CutScheduler(side.table, side.literals, len(self.profile.state), side.plane)
-
-    def _tubes_from_limits(self, limited: TubeRequest, waiting: dict[str, str]) -> Tubes:
-        """Tubes of vehicles without a model, from what the profile says of every vehicle; none where it says too
-        little."""
-        x = limited.block.x[:, -1]
-        boxes = limit_sets(self.profile, x, self.horizon)
-        count, n = x.shape
-        if boxes is None:
-            return self._no_tubes(waiting)
-        plan = CutSchedule.nothing(count, self.horizon, n)
-        start = np.broadcast_to(self._method.bounds.measurement, (count, *self._method.bounds.measurement.shape))
-        reach = ReachSets.of(
-            box_tubes(*boxes, x, start, plan, self.profile.position, "zonotope"), plan, self._assignments.literals.count
-        )
-        names = [self._names[slot] for slot in limited.slots.tolist()]
-        bounded = np.flatnonzero(reach.publishable())
-        reach, limited = reach.rows(bounded), limited.rows(bounded)
-        names = [names[row] for row in bounded.tolist()]
-        notes = tuple((f"from limits alone, {waiting[name]}",) for name in names)
-        for name in names:
-            waiting.pop(name)
-        instants = InitialConditions(limited.slots, limited.t, x[bounded], x[bounded])
-        return Tubes(
-            tuple(names), limited.epoch, limited.seq, limited.t, self._times(limited), reach.steps, reach.free,
-            reach.area, reach.area_free, outer_polygon(reach.heights), reach.hull,
-            self._labels.of_limits(len(names)), (FROM_LIMITS,) * len(names), ((),) * len(names), notes,
-            self._verdicts(instants, reach.steps, true_sets=True), (), {},
-        )  # fmt: skip
-
-    def _verdicts(
-        self, instants: InitialConditions, steps: tuple[RawSets, ...], *, true_sets: bool = False
-    ) -> tuple[Mapping[str, str], ...]:
-        """What the requirements come to on the sets, enlarged to hold true states where they speak about measured
-        ones."""
-        measured = self._method.claims_measured and not true_sets
-        noise = self._method.bounds.measurement if measured else self._nothing
-        if not self._assignments.requires:
-            return ({},) * len(instants.slots)
-        return self._assignments.verdicts(instants, [(s.center, stack_columns(s.generators, noise)) for s in steps])
-
-    def _no_tubes(self, waiting: dict[str, str]) -> Tubes:
-        ids, times = np.zeros(0, dtype=np.uint64), np.zeros((0, self.horizon), dtype=np.int64)
-        areas, sets = np.zeros((0, self.horizon)), np.zeros((0, self.horizon, 2, len(self.profile.state)))
-        return Tubes(
-            (), ids, ids, times[:, 0], times, (), (), areas, areas, sets, sets, (), (), (), (), (), (), waiting
-        )
-
     def _check(self, batch: SampleBatch, appended: AppendReport) -> list[EngineEvent]:
         """Hold the measurements that were stored against the one-step predictions that wait for them."""
         events: list[EngineEvent] = []
@@ -439,23 +288,4 @@ class Engine:
                 notices.coverage(self._names[slot], newest[slot], what, self._record.audit(slot), confidence)
                 for slot in slots.tolist()
             ]
-        return events
-
-    def _contradictions(self, served: TubeRequest, reach: ReachSets) -> list[EngineEvent]:
-        """Events where cuts left nothing, and where the data excludes the stated bounds."""
-        events: list[EngineEvent] = []
-        # A calibrated set may be wrong itself: only what was measured contradicts for good.
-        for row, (step, literals) in {} if self._method.claims_measured else reach.responsible.items():
-            slot, ahead = int(served.slots[row]), step * self.profile.sample_time_ns
-            events += self._assignments.contradict(slot, self._names[slot], int(served.t[row]), literals, ahead)
-        for row in np.flatnonzero(reach.excluded).tolist():
-            slot = int(served.slots[row])
-            # A bound that is stated is wrong, if only for a time; one that was fitted is a hypothesis that fails here.
-            news = self._record.refute(slot) if self._labels.certain else slot not in self._excluded
-            if not self._labels.certain:
-                self._excluded.add(slot)
-            if news:
-                message = "the data contradicts the stated noise or Lipschitz bounds: widen them in the profile"
-                vehicle, t = self._names[slot], int(served.t[row])
-                events.append(EngineEvent(EventKind.DATA_CONTRADICTED, vehicle, t, message))
         return events

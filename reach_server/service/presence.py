@@ -6,8 +6,9 @@ from typing import Final
 #: Seconds without samples after which a vehicle without a token is gone; and sample intervals that it is at least.
 SILENCE: Final = 2.5
 INTERVALS: Final = 5.0
-#: A server whose rounds take longer than this (s) may not have heard what was sent.
-STARVED: Final = 1.0
+#: Seconds between two looks after which a server may not have heard what was sent; it looks once a second, or as soon
+#: after that as its round is over.
+STARVED: Final = 2.0
 
 
 @dataclass(slots=True)

@@ -68,7 +68,7 @@ class ScenarioTracker:
         self._started = np.zeros(0, dtype=bool)
         #: Places before time zero from which on formulas are followed.
         self._before = np.zeros(0, dtype=np.int64)
-        self._again: set[int] = set()
+        self._to_replay: set[int] = set()
 
     def grow(self, slots: int) -> None:
         """Make room for ``slots`` vehicles."""
@@ -100,7 +100,7 @@ class ScenarioTracker:
         """Forget a vehicle."""
         if slot < len(self.assigned):
             self.assigned[slot] = self.contradicted[slot] = self._started[slot] = self.tested[slot] = False
-            self._again.discard(slot)
+            self._to_replay.discard(slot)
 
     def asks(self, slot: int) -> bool:
         """Whether the scenario asks anything of a vehicle from its newest sample on."""
@@ -160,14 +160,14 @@ class ScenarioTracker:
         over = bool(self.contradicted[slots].all())
         return set().union(*(p.literals for name, p in self.pursuits.items() if not (over and name == ASSUME)))
 
-    def see(self, slots: IndexArray, t: IntArray, status: Status) -> NDArray[np.bool_]:
+    def observe(self, slots: IndexArray, t: IntArray, status: Status) -> NDArray[np.bool_]:
         """Take in one sample each of some vehicles (B,), stamps ns; which of them contradict the scenario now.
 
         ``status`` says what surely does not hold at the samples, by rows of ``slots``. Samples that have been seen, and
         those before time zero, change nothing.
         """
         # What a strayed stamp has put in doubt waits until all is looked at once more.
-        fresh = self.unseen(slots, t) & ~np.isin(slots, list(self._again))
+        fresh = self.unseen(slots, t) & ~np.isin(slots, list(self._to_replay))
         self._seen[slots[fresh]] = t[fresh]
         # The nearest place, the later one of two; twice a difference of times may not fit into 64 bits.
         index, rest = np.divmod(t - self.zero[slots], self._step)
@@ -176,7 +176,7 @@ class ScenarioTracker:
         chosen = slots[rows]
         strays = (t[rows] != self.zero[chosen] + index[rows] * self._step) & ~self._jitters[chosen]
         self._jitters[chosen[strays]] = True
-        self._again.update(chosen[strays].tolist())
+        self._to_replay.update(chosen[strays].tolist())
         rows, chosen = rows[~strays], chosen[~strays]
         repeated = index[rows] == self._index[chosen]
         missing = np.maximum(index[rows] - self._index[chosen] - 1, 0)
@@ -190,10 +190,10 @@ class ScenarioTracker:
         lost[rows] = (self.pursuits[ASSUME].after[chosen] == DEAD) & ~self.contradicted[chosen]
         return lost
 
-    def again(self) -> IndexArray:
+    def replay(self) -> IndexArray:
         """Vehicles whose samples have to be handed over once more, all that are still held; asks once."""
-        slots = np.array(sorted(self._again), dtype=np.intp)
-        self._again.clear()
+        slots = np.array(sorted(self._to_replay), dtype=np.intp)
+        self._to_replay.clear()
         for slot in slots.tolist():
             self._restart(slot)
         self._seen[slots] = np.iinfo(np.int64).min
@@ -240,7 +240,7 @@ class ScenarioTracker:
         """All that is believed of its vehicles."""
         return [int(b) for p in self.pursuits.values() for b in np.unique([p.before, p.after])]
 
-    def move(self, table: Table, numbers: Mapping[int, int]) -> None:
+    def rebase(self, table: Table, numbers: Mapping[int, int]) -> None:
         """Go on with another table, in which the beliefs have these ``numbers``."""
         self._table = table
         for pursuit in self.pursuits.values():

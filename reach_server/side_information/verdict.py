@@ -1,6 +1,19 @@
 """What a requirement comes to on a tube: satisfied, violated, or why that is not known."""
 
 from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from reach_server.numeric.slot_table import take_rows
+from reach_server.numeric.types import FloatArray, IndexArray
+from reach_server.predicates import Literals
+from reach_server.side_information.contexts import InitialConditions, context_ahead
+from reach_server.side_information.tracker import ScenarioTracker
+
+#: Names of a requirement's two formulas, of which one ends when the requirement is settled.
+HOLDS: Final = "holds "
+FAILS: Final = "fails "
 
 SATISFIED = "satisfied"
 VIOLATED = "violated"
@@ -27,3 +40,33 @@ def verdict(holds: Sequence[int], fails: Sequence[int], settled: int, dead: int)
         return "undecided (past)"
     reason = "size" if settled in holds and settled in fails else "time"
     return f"undecided ({reason})" + (f", may be violated at step {fails.index(settled)}" if settled in fails else "")
+
+
+def beliefs_ahead(
+    tracker: ScenarioTracker,
+    formula: str,
+    literals: Literals,
+    instants: InitialConditions,
+    rows: IndexArray,
+    sets: Sequence[tuple[FloatArray, FloatArray]],
+    *,
+    known: bool,
+    step_ns: int,
+) -> list[list[int]]:
+    """Beliefs about a formula after steps 0 (the newest sample) to N, of vehicles in some rows (K,) of the instants.
+
+    ``sets`` are those of true states, (center, generators), at steps 1 to N. Unless it is ``known`` how far received
+    states may be from true ones, no literal is taken as false.
+    """
+    beliefs = tracker.pursuits[formula].after[instants.slots[rows]]
+    ahead = [beliefs]
+    for k, (center, generators) in enumerate(sets, 1):
+        asked = tracker.asked(beliefs)
+        false = np.zeros((len(rows), len(asked)), dtype=bool)
+        if len(asked) and known:
+            context = context_ahead(tracker, take_rows(instants, rows), np.full(len(rows), k), step_ns)
+            false = literals.verdict(asked.tolist(), center[rows], generators[rows], context) < 0
+        beliefs = tracker.go_on(beliefs, asked, false)
+        ahead.append(beliefs)
+    found: list[list[int]] = np.stack(ahead, axis=1).tolist()
+    return found

@@ -1,8 +1,7 @@
 """The side-info service: publishes scenarios, and which vehicle takes part in which from when on."""
 
-import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -13,11 +12,14 @@ import structlog
 import zenoh
 
 from fleet_bus import keys
+from fleet_bus.bus import Bus
+from fleet_bus.clock import SYSTEM, Clock
 from fleet_bus.errors import KeyIdError, MessageError, ScenarioError
 from fleet_bus.messages import Assignment, ScenarioDocument, ServiceStatus, StateBatch, StateFlag, decode_states, ranges
-from fleet_bus.pubsub import Received, declare_alive, declare_recovering_subscriber, query_cache
+from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from fleet_bus.writers import Source
+from fleet_bus.zenoh_bus import as_bus
 from side_info.documents.scenario import Scenario
 from side_info.service import watching
 from side_info.service.publications import Publications
@@ -49,6 +51,7 @@ class SideInfoService:
     checks takes the place of the published one; any other change is refused, counted and logged, once.
     Of the samples in the caches of vehicles, ``history`` each are asked for at the start.
     ``clock_offset`` (s) bounds how far the clocks of vehicles and scenarios differ; it goes into assignments.
+    ``session`` may be any ``Bus``, ``clock`` any ``Clock``.
 
     Raises ``ScenarioError`` for an assignment or a file of a scenario that is not loaded, for two of one name and for a
     clock offset out of its range, ``KeyIdError`` for an id that cannot be in a key.
@@ -56,7 +59,7 @@ class SideInfoService:
 
     def __init__(
         self,
-        session: zenoh.Session,
+        session: zenoh.Session | Bus,
         scenarios: Sequence[Scenario],
         assign: Mapping[str, str],
         instance: str,
@@ -64,7 +67,7 @@ class SideInfoService:
         files: Mapping[str, Path] | None = None,
         clock_offset: float = 0.0,
         history: int = 4096,
-        clock: Callable[[], int] = time.time_ns,
+        clock: Clock = SYSTEM,
     ) -> None:
         self._scenarios = {scenario.name: scenario for scenario in scenarios}
         loaded = ", ".join(scenario.name for scenario in scenarios) or "none"
@@ -81,7 +84,7 @@ class SideInfoService:
         if clock_offset not in ranges.CLOCK_OFFSET:
             raise ScenarioError(f"the clock offset {clock_offset:g} s bounds nothing: expected {ranges.CLOCK_OFFSET}")
         keys.service(KIND, instance)
-        self._session = session
+        self._bus = as_bus(session)
         self._watched = {name: Watched.begin(path, self._scenarios[name]) for name, path in (files or {}).items()}
         self._assign = dict(assign)
         self._instance = instance
@@ -100,31 +103,31 @@ class SideInfoService:
 
     def run(self, stop: Event) -> None:
         """Serve until ``stop`` is set; raise ``zenoh.ZError`` if the session is closed under it."""
-        with Publications(self._session, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS) as publications:
+        with Publications(self._bus, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS) as publications:
             for scenario in self._scenarios.values():
                 self._publish_document(scenario, publications)
             for vehicle in self._assign:
                 if vehicle != EVERY_VEHICLE:
                     self._publish_assignment(vehicle, publications)
             with (
-                declare_recovering_subscriber(self._session, keys.ALL_STATES, self._receive, history=self._history),
-                declare_alive(self._session, keys.service(KIND, self._instance)),
+                self._bus.subscriber(keys.ALL_STATES, self._receive, history=self._history),
+                self._bus.alive(keys.service(KIND, self._instance)),
             ):
                 self._serve(stop, publications)
 
     def _serve(self, stop: Event, publications: Publications) -> None:
-        started = next_status = self._clock()
+        started = next_status = self._clock.time_ns()
         for tick in count():
             self._take_in(publications)
             if tick % _TICKS_PER_LOOK == 0:
                 self._look_at_files(publications)
-            now = self._clock()
+            now = self._clock.time_ns()
             # A clock that was set back must not silence the status.
             if not next_status - _STATUS_PERIOD_NS < now < next_status:
                 status = self._status(now, started)
                 publications.put(keys.service_status(KIND, self._instance), ServiceStatus.encoding(), status.encode())
                 next_status = now + _STATUS_PERIOD_NS
-            if stop.wait(_TICK):
+            if self._clock.wait(stop, _TICK):
                 return
 
     def _receive(self, received: Received) -> None:
@@ -136,7 +139,7 @@ class SideInfoService:
     def _take_in(self, publications: Publications) -> None:
         """Process what has arrived since the last time."""
         arrived = [self._arrived.popleft() for _ in range(len(self._arrived))]
-        now = time.monotonic()
+        now = self._clock.monotonic()
         changed = {vehicle for vehicle in self._rivalled if self._starts[vehicle].elapse(now)}
         for (vehicle, source), samples in self._decode(arrived).items():
             start = self._starts[vehicle]
@@ -186,7 +189,7 @@ class SideInfoService:
 
     def _search(self, vehicle: str) -> None:
         """Look for the start of a vehicle in its cache: it was under way when its first sample came here."""
-        cached = query_cache(self._session, keys.state(vehicle), max_samples=_WHOLE_CACHE, timeout=_QUERY_TIMEOUT)
+        cached = self._bus.query(keys.state(vehicle), max_samples=_WHOLE_CACHE, timeout=_QUERY_TIMEOUT)
         start = self._starts[vehicle]
         if start.writer.source is not None:
             start.see(self._decode(cached).get((vehicle, start.writer.source), []))

@@ -12,6 +12,7 @@ import reach_server.service.server
 from fleet_bus import Role, open_session
 from fleet_bus.pubsub import Declared
 from fleet_bus.router import Router
+from fleet_bus.zenoh_bus import ZenohBus
 from fleet_cli.monitor import Monitor
 from reach_server.service.server import ReachServer
 from side_info.documents.scenario import Scenario
@@ -122,7 +123,7 @@ def test_a_reach_server_of_which_something_cannot_be_closed(router: Router, faul
             raise InjectedError
 
     with pytest.raises(InjectedError), ReachServer("one", router.endpoints) as server:
-        server._tubes["car"] = Stuck(server._output, None)  # type: ignore[arg-type,assignment]
+        server._outbox._publishers["car"] = Stuck(faults.sessions[0], None)  # type: ignore[arg-type,assignment]
     assert all(session.is_closed() for session in faults.sessions)
 
 
@@ -168,7 +169,8 @@ def test_publications_of_which_one_cannot_be_queried() -> None:
             declared.append(key)
             return Queryable()
 
-    publications = Publications(Session(), "spec/*/document", "spec/*/assignment/*")  # type: ignore[arg-type]
+    bus = ZenohBus(Session())  # type: ignore[arg-type]
+    publications = Publications(bus, "spec/*/document", "spec/*/assignment/*")
     with pytest.raises(InjectedError), publications:
         pytest.fail("it began")
     assert declared == []

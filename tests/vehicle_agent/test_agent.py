@@ -2,10 +2,9 @@
 
 import itertools
 import threading
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +16,10 @@ from fleet_bus.messages import StateFlag, StateSample, VehicleProfile, parse_pro
 from fleet_bus.pubsub import Received, query_cache, subscribe, watch_alive
 from fleet_bus.router import Router
 from fleet_bus.sessions import Role, open_session
+from tests.memory_bus import Network
 from tests.waiting import DEADLINE, wait_until
-from vehicle_agent import agent as agent_module
 from vehicle_agent import svea
-from vehicle_agent.agent import Agent, run
+from vehicle_agent.agent import Agent, Report, run
 from vehicle_agent.filters import PassThrough, filter_for
 from vehicle_agent.route import load_route
 from vehicle_agent.sources import Reading, SimulatedSource
@@ -31,48 +30,14 @@ PROFILE = parse_profile(
 )  # fmt: skip
 
 
-@dataclass
-class Bus:
-    """Stands in for the network: keeps what is put and declared, in order."""
-
-    puts: list[tuple[str, bytes]] = field(default_factory=list)
-    caches: dict[str, int] = field(default_factory=dict)
-    declared: list[str] = field(default_factory=list)
-    closed: list[str] = field(default_factory=list)
-    broken: bool = False
-    on_put: Any = None
-
-    def publisher(self, session: object, key: str, encoding: str, *, cache: int) -> "Handle":
-        self.caches[key] = cache
-        self.declared.append(key)
-        return Handle(self, key)
-
-    def alive(self, session: object, key: str) -> "Handle":
-        self.declared.append(key)
-        self.puts.append((key, b""))
-        return Handle(self, key)
-
-    def samples(self, key: str = "fleet/car/state") -> list[StateSample]:
-        return [StateSample.decode(payload) for at, payload in self.puts if at == key]
+def published(bus: Network, key: str = "fleet/car/state") -> list[StateSample]:
+    """What was put on a key."""
+    return [StateSample.decode(message.payload) for message in bus.puts if message.key == key]
 
 
-@dataclass
-class Handle:
-    bus: Bus
-    key: str
-
-    def put(self, payload: bytes) -> None:
-        if self.bus.broken:
-            raise zenoh.ZError("closed")
-        self.bus.puts.append((self.key, payload))
-        if self.bus.on_put is not None:
-            self.bus.on_put()
-
-    def __enter__(self) -> "Handle":
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.bus.closed.append(self.key)
+def caches(bus: Network) -> dict[str, int | None]:
+    """How many messages the publishers keep, by key."""
+    return {publisher.key: publisher.cache.maxlen for publisher in bus.publishers}
 
 
 @dataclass
@@ -93,24 +58,6 @@ class ListSource:
             yield reading
 
 
-class Clock(threading.Event):
-    """Stands in for the module ``time`` and the event that ends a run: waiting passes the time at once."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now = 0.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def time_ns(self) -> int:
-        return 10**18 + round(self.now * 1e9)
-
-    def wait(self, timeout: float | None = None) -> bool:
-        self.now += timeout or 0.0
-        return self.is_set()
-
-
 class BrittleFilter(PassThrough):
     """Fails at 1, gives NaN at 2."""
 
@@ -126,60 +73,58 @@ def reading(t: int, x: float = 0.0, **changes: Any) -> Reading:
 
 
 @pytest.fixture
-def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
-    stand_in = Bus()
-    monkeypatch.setattr(agent_module, "declare_cached_publisher", stand_in.publisher)
-    monkeypatch.setattr(agent_module, "declare_alive", stand_in.alive)
-    return stand_in
+def bus() -> Network:
+    return Network()
 
 
-SESSION = cast("zenoh.Session", None)
+def make(bus: Network, source: Any, vehicle: str = "car", profile: VehicleProfile = PROFILE, **options: Any) -> Agent:
+    return Agent(bus.bus(), vehicle, profile, source, options.get("filter", PassThrough()), bus.time)
 
 
-def make(source: Any, vehicle: str = "car", profile: VehicleProfile = PROFILE, **options: Any) -> Agent:
-    return Agent(SESSION, vehicle, profile, source, options.get("filter", PassThrough()))
+def go(bus: Network, *agents: Agent, speed: float = 1.0) -> dict[str, Report]:
+    """Run agents to the end of their sources, in no time."""
+    return run(agents, threading.Event(), speed, bus.time)
 
 
-def test_profile_history_token_then_live(bus: Bus) -> None:
+def test_profile_history_token_then_live(bus: Network) -> None:
     truth = np.array([7.0])
     past = [reading(-200, flags=StateFlag.HISTORY | StateFlag.NEW_TRAJECTORY, due=0.0, truth=truth),
             reading(-100, flags=StateFlag.HISTORY, due=0.0, truth=truth)]  # fmt: skip
     live = [reading(0, 1.0, flags=StateFlag.NEW_TRAJECTORY, truth=truth), reading(100, 2.0, truth=truth)]
     source = ListSource([*past, *live], history=2, knows_truth=True)
-    before = time.time_ns()
-    with make(source) as agent:
-        reports = run([agent], threading.Event())
-    assert [key.rpartition("/")[2] for key, _ in bus.puts] == [
+    with make(bus, source) as agent:
+        reports = go(bus, agent)
+    assert [key.rpartition("/")[2] for key in bus.log] == [
         "profile", "state", "state", "alive", "state", "truth", "state", "truth",
     ]  # fmt: skip
-    assert VehicleProfile.decode(bus.puts[0][1]) == PROFILE
-    samples = bus.samples()
+    assert VehicleProfile.decode(bus.puts[0].payload) == PROFILE
+    samples = published(bus)
     assert [s.seq for s in samples] == [0, 1, 2, 3]
     assert len({s.epoch for s in samples}) == 1
-    assert samples[0].epoch >= before
+    assert samples[0].epoch == 10**18
     assert samples[1].t - samples[0].t == samples[3].t - samples[2].t == 100
     assert samples[1].t < samples[2].t
     assert samples[0].flags == StateFlag.HISTORY | StateFlag.NEW_TRAJECTORY
     assert samples[2].flags == StateFlag.NEW_TRAJECTORY
-    truths = bus.samples("fleet/car/truth")
+    truths = published(bus, "fleet/car/truth")
     assert [(s.seq, s.t, s.x[0]) for s in truths] == [(s.seq, s.t, 7.0) for s in samples[2:]]
     assert reports["car"].published == 4
     assert not reports["car"].skipped
     assert sorted(bus.closed) == sorted(bus.declared)
 
 
-def test_the_cache_holds_window_lags_and_history(bus: Bus) -> None:
+def test_the_cache_holds_window_lags_and_history(bus: Network) -> None:
     profile = svea.profile()
     source = SimulatedSource(load_route("roundabout"), 1, history=100)
-    with make(source, profile=profile):
-        assert bus.caches == {"fleet/car/profile": 1, "fleet/car/state": 1066, "fleet/car/truth": 64}
+    with make(bus, source, profile=profile):
+        assert caches(bus) == {"fleet/car/profile": 1, "fleet/car/state": 1066, "fleet/car/truth": 64}
     longer = ListSource([], history=5000)
-    with make(longer, "cart"):
-        assert bus.caches["fleet/cart/state"] >= 5000
-        assert "fleet/cart/truth" not in bus.caches
+    with make(bus, longer, "cart"):
+        assert (caches(bus)["fleet/cart/state"] or 0) >= 5000
+        assert "fleet/cart/truth" not in caches(bus)
 
 
-def test_what_cannot_be_published_is_counted(bus: Bus) -> None:
+def test_what_cannot_be_published_is_counted(bus: Network) -> None:
     source = ListSource(
         [
             reading(0, flags=StateFlag.NEW_TRAJECTORY, measured=np.array([np.nan])),
@@ -197,9 +142,9 @@ def test_what_cannot_be_published_is_counted(bus: Bus) -> None:
             reading(90, 7.0),
         ]
     )
-    with make(source, filter=BrittleFilter()) as agent:
-        report = run([agent], threading.Event())["car"]
-    samples = bus.samples()
+    with make(bus, source, filter=BrittleFilter()) as agent:
+        report = go(bus, agent)["car"]
+    samples = published(bus)
     assert [s.x[0] for s in samples] == [3.0, 6.0]
     assert [s.seq for s in samples] == [0, 1]
     # The mark of the skipped first reading went to the next one.
@@ -208,7 +153,7 @@ def test_what_cannot_be_published_is_counted(bus: Bus) -> None:
     assert report.skipped == {"not_finite": 4, "stamp": 2, "shape": 2, "filter": 1, "source": 1}
 
 
-def test_what_a_server_would_refuse_is_not_sent(bus: Bus) -> None:
+def test_what_a_server_would_refuse_is_not_sent(bus: Network) -> None:
     source = ListSource(
         [
             reading(0, 1.0),
@@ -223,126 +168,120 @@ def test_what_a_server_would_refuse_is_not_sent(bus: Bus) -> None:
         ],
         knows_truth=True,
     )
-    with make(source) as agent:
-        report = run([agent], threading.Event())["car"]
-    assert [s.x[0] for s in bus.samples()] == [1.0, 8.0]
-    assert [s.seq for s in bus.samples()] == [0, 1]
+    with make(bus, source) as agent:
+        report = go(bus, agent)["car"]
+    assert [s.x[0] for s in published(bus)] == [1.0, 8.0]
+    assert [s.seq for s in published(bus)] == [0, 1]
     assert (report.published, report.skipped) == (2, {"range": 6, "too_large": 1})
 
 
-def test_a_network_in_trouble_does_not_stop_the_loop(bus: Bus) -> None:
+def test_a_network_in_trouble_does_not_stop_the_loop(bus: Network) -> None:
     source = ListSource([reading(k, float(k)) for k in range(5)])
-    with make(source) as agent:
-        agent.start(time.time_ns())
-        bus.broken = True
-        report = run_live(agent)
+    with make(bus, source) as agent:
+        agent.start(bus.time.time_ns())
+        bus.broken = zenoh.ZError("closed")
+        report = run_live(bus, agent)
         assert (report.published, report.skipped) == (0, {"put": 5})
 
 
-def run_live(agent: Agent) -> Any:
+def run_live(bus: Network, agent: Agent) -> Any:
     while agent.upcoming is not None:
-        agent.publish(time.time_ns())
+        agent.publish(bus.time.time_ns())
     return agent.report
 
 
-def test_one_failing_source_does_not_stop_the_others(bus: Bus) -> None:
-    good = make(ListSource([reading(k * 1000, float(k)) for k in range(5)]), "good")
-    bad = make(ListSource([reading(0), RuntimeError("broken")]), "bad")
+def test_one_failing_source_does_not_stop_the_others(bus: Network) -> None:
+    good = make(bus, ListSource([reading(k * 1000, float(k)) for k in range(5)]), "good")
+    bad = make(bus, ListSource([reading(0), RuntimeError("broken")]), "bad")
     with good, bad:
-        reports = run([bad, good], threading.Event())
+        reports = go(bus, bad, good)
     assert reports["good"].published == 5
     assert (reports["bad"].published, reports["bad"].skipped) == (1, {"source": 1})
 
 
-def test_agents_are_served_in_the_order_of_due_times(bus: Bus) -> None:
-    first = make(ListSource([reading(t) for t in (0, 3_000_000, 4_000_000)]), "a")
-    second = make(ListSource([reading(t) for t in (1_000_000, 2_000_000, 5_000_000)]), "b")
+def test_agents_are_served_in_the_order_of_due_times(bus: Network) -> None:
+    first = make(bus, ListSource([reading(t) for t in (0, 3_000_000, 4_000_000)]), "a")
+    second = make(bus, ListSource([reading(t) for t in (1_000_000, 2_000_000, 5_000_000)]), "b")
     with first, second:
-        run([first, second], threading.Event())
-    order = [keys.vehicle_of(key) for key, _ in bus.puts if key.endswith("state")]
+        go(bus, first, second)
+    order = [keys.vehicle_of(key) for key in bus.log if key.endswith("state")]
     assert order == ["a", "b", "b", "a", "a", "b"]
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_readings_go_out_when_they_are_due(bus: Bus, speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock()
-    monkeypatch.setattr(agent_module, "time", clock)
+def test_readings_go_out_when_they_are_due(bus: Network, speed: float) -> None:
     times: list[float] = []
-    bus.on_put = lambda: times.append(clock.now)
-    with make(ListSource([reading(k * 40_000_000) for k in range(6)])) as agent:
-        run([agent], clock, speed)
+    bus.on_put = lambda: times.append(bus.time.now)
+    with make(bus, ListSource([reading(k * 40_000_000) for k in range(6)])) as agent:
+        go(bus, agent, speed=speed)
     # The profile goes out first, with the start.
     np.testing.assert_allclose(times, [0.0, *(0.04 / speed * np.arange(6))], atol=1e-9)
 
 
-def test_a_loop_that_has_fallen_behind_publishes_what_is_due_without_waiting(
-    bus: Bus, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clock = Clock()
-    monkeypatch.setattr(agent_module, "time", clock)
+def test_a_loop_that_has_fallen_behind_publishes_what_is_due_without_waiting(bus: Network) -> None:
     times: list[float] = []
 
     def put() -> None:
         # The second reading takes as long as three.
-        clock.now += 0.12 if len(times) == 2 else 0.0
-        times.append(clock.now)
+        bus.time.now += 0.12 if len(times) == 2 else 0.0
+        times.append(bus.time.now)
 
     bus.on_put = put
-    with make(ListSource([reading(k * 40_000_000) for k in range(6)])) as agent:
-        run([agent], clock)
+    with make(bus, ListSource([reading(k * 40_000_000) for k in range(6)])) as agent:
+        go(bus, agent)
     np.testing.assert_allclose(times, [0.0, 0.0, 0.16, 0.16, 0.16, 0.16, 0.2], atol=1e-9)
 
 
-def test_stop_ends_a_wait(bus: Bus) -> None:
+def test_stop_ends_a_wait(bus: Network) -> None:
     stop = threading.Event()
-    with make(ListSource([reading(0), reading(3_600_000_000_000)])) as agent:
+    with make(bus, ListSource([reading(0), reading(3_600_000_000_000)])) as agent:
         loop = threading.Thread(target=run, args=([agent], stop))
         loop.start()
         wait_until(lambda: agent.report.published == 1)
         stop.set()
         loop.join(DEADLINE)
         assert not loop.is_alive()
-    assert len(bus.samples()) == 1
+    assert len(published(bus)) == 1
 
 
-def test_a_stop_before_the_start_publishes_nothing(bus: Bus) -> None:
+def test_a_stop_before_the_start_publishes_nothing(bus: Network) -> None:
     stop = threading.Event()
     stop.set()
-    with make(ListSource([reading(0)])) as agent:
+    with make(bus, ListSource([reading(0)])) as agent:
         assert run([agent], stop)["car"].published == 0
     assert not bus.puts
 
 
-def test_source_and_profile_must_fit(bus: Bus) -> None:
+def test_source_and_profile_must_fit(bus: Network) -> None:
     with pytest.raises(ProfileError, match=r"gives the states \['y'\]"):
-        make(ListSource([], state_names=("y",)))
+        make(bus, ListSource([], state_names=("y",)))
     with pytest.raises(ProfileError, match=r"gives the inputs \[\]"):
-        make(ListSource([], input_names=()))
+        make(bus, ListSource([], input_names=()))
     with pytest.raises(ProfileError, match=r"samples every 0\.2 s"):
-        make(ListSource([], sample_time=0.2))
+        make(bus, ListSource([], sample_time=0.2))
     with pytest.raises(KeyIdError):
-        make(ListSource([]), "no such/vehicle")
+        make(bus, ListSource([]), "no such/vehicle")
     assert not bus.declared
 
 
-def test_misuse_of_run(bus: Bus) -> None:
-    with make(ListSource([])) as one, make(ListSource([])) as other:
+def test_misuse_of_run(bus: Network) -> None:
+    with make(bus, ListSource([])) as one, make(bus, ListSource([])) as other:
         with pytest.raises(UsageError, match="may occur once"):
-            run([one, other], threading.Event())
+            go(bus, one, other)
         with pytest.raises(UsageError, match="must be positive"):
             run([one], threading.Event(), 0.0)
     assert run([], threading.Event()) == {}
 
 
-def test_what_is_published_of_a_simulated_car_is_within_its_profile(bus: Bus) -> None:
+def test_what_is_published_of_a_simulated_car_is_within_its_profile(bus: Network) -> None:
     profile = svea.profile()
     source = SimulatedSource(load_route("roundabout"), 2, history=64)
-    with make(source, profile=profile, filter=filter_for(profile)) as agent:
-        origin = time.time_ns()
+    with make(bus, source, profile=profile, filter=filter_for(profile)) as agent:
+        origin = bus.time.time_ns()
         agent.start(origin)
         for _ in range(300):
             agent.publish(origin)
-    samples, truths = bus.samples()[64:], bus.samples("fleet/car/truth")
+    samples, truths = published(bus)[64:], published(bus, "fleet/car/truth")
     assert [s.t for s in samples] == [origin + k * 50_000_000 for k in range(300)]
     error = np.array([s.x - true.x for s, true in zip(samples, truths, strict=True)])
     error[:, 2] = np.angle(np.exp(1j * error[:, 2]))

@@ -7,8 +7,8 @@ from fleet_bus.rejections import Rejections
 from reach_server.data.events import EngineEvent
 from reach_server.engine.results import Tubes
 from reach_server.numeric.types import FloatArray
+from reach_server.service.fleet import Fleet, Outcome
 from reach_server.service.ingest import VehicleBatch
-from reach_server.service.registry import Fleet, Outcome
 from tests.reach_server.drives import PROFILE, START, SVEA, history
 
 SMALL = PROFILE.model_copy(update={"window": 120})

@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import Any, cast
+from typing import Any
 from unittest import mock
 
 import msgpack
@@ -29,12 +29,11 @@ from fleet_bus.messages import (
     parse_profile,
 )
 from fleet_bus.messages.state import ENCODING
-from fleet_bus.pubsub import CachedPublisher, Received
-from reach_server.service import server as server_module
-from reach_server.service.other_servers import OtherServers
+from fleet_bus.pubsub import Received
 from reach_server.service.server import ReachServer
 from reach_server.side_information import scenarios as assignments
 from tests.examples import examples, seed
+from tests.memory_bus import Network, Time
 from tests.reach_server.drives import PROFILE, START, SVEA, World
 from tests.reach_server.hostile import VEHICLES, Hostile
 from vehicle_agent.simulate import simulate_history
@@ -56,74 +55,40 @@ FORGED = (EventKind.PROFILE_REFUSED, EventKind.TWO_SOURCES)
 
 
 # --- the server without a network ---------------------------------------------------------------------------------
-class Sink:
-    """Stands in for a publisher: what is put goes to a list."""
-
-    def __init__(self, key: str, puts: list[tuple[str, bytes]]) -> None:
-        self._key, self._puts = key, puts
-
-    def put(self, payload: bytes) -> None:
-        self._puts.append((self._key, payload))
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-class Clock:
-    """Stands in for the module ``time``: it goes on by a sample time with each round."""
+class Bench:
+    """A reach server whose messages are handed over and whose output is kept, on a clock that goes on by a sample time
+    with each round."""
 
     def __init__(self) -> None:
-        self.now = (CATCH_UP - 1) * SVEA.dt
-
-    def monotonic(self) -> float:
-        return self.now
-
-    perf_counter = monotonic
-
-    def time_ns(self) -> int:
-        return START + int(self.now * 1e9)
-
-
-class Bench(ReachServer):
-    """A reach server whose messages are handed over and whose output is kept; all that knows its inside is here."""
-
-    def __init__(self) -> None:
-        self.clock = Clock()
-        self.puts: list[tuple[str, bytes]] = []
-        with mock.patch.object(server_module, "time", self.clock):
-            super().__init__("bench")
-        self._others = OtherServers("session of the bench", "bench")
-        self._own_events = cast("CachedPublisher", Sink(keys.service_event("reach", "bench"), self.puts))
+        self.network = Network(Time((CATCH_UP - 1) * SVEA.dt, START))
+        self.server = ReachServer("bench", clock=self.network.time, connect=self.network.bus)
         self._rounds = 0
 
-    def _publisher(self, known: dict[str, CachedPublisher], key: str, encoding: str, cache: int) -> CachedPublisher:
-        return known.setdefault(key, cast("CachedPublisher", Sink(key, self.puts)))
+    def __enter__(self) -> "Bench":
+        self.server.__enter__()
+        return self
 
-    def _fetch_missing(self, now: float) -> None:
-        """Nobody has a cache."""
+    def __exit__(self, *exc_info: object) -> None:
+        self.server.__exit__(*exc_info)
 
     def round(self, received: Iterable[Received]) -> list[tuple[str, bytes]]:
         """Hand messages over and let the server do one round; what it puts."""
+        network = self.network
         self._rounds += 1
-        self.clock.now += SVEA.dt
+        network.time.now += SVEA.dt
+        network.puts.clear()
+        network.log.clear()
         for message in received:
-            message = replace(message, arrived_ns=self.clock.time_ns())
-            if message.key.endswith("/state"):
-                self.ingest.put(message)
-            elif message.key.endswith("/alive"):
-                self._control.append((message.key, message.payload == b"1"))
+            if message.key.endswith("/alive"):
+                network.token(message.key, message.payload == b"1")
             else:
-                self._control.append(message)
-        self.puts.clear()
-        with (
-            mock.patch.object(server_module, "time", self.clock),
-            mock.patch.object(assignments, "MOST_OBLIGATIONS", MOST_OBLIGATIONS),
-        ):
-            self.tick()
-            if self._rounds % 20 == 0:
-                self._look_around(self.clock.now)
-            ServiceStatus.decode(self.status().encode())
-        return list(self.puts)
+                network.deliver(replace(message, arrived_ns=network.time.time_ns()))
+        with mock.patch.object(assignments, "MOST_OBLIGATIONS", MOST_OBLIGATIONS):
+            self.server.tick()
+        if self._rounds % 20 == 0:
+            self.server.look_around(network.time.now)
+        ServiceStatus.decode(self.server.status().encode())
+        return [(message.key, message.payload) for message in network.puts]
 
 
 def held(server: ReachServer) -> int:
@@ -214,20 +179,21 @@ def run(messages: int, seed: int | None = None, classes: int | None = None) -> t
     """Output for the well-behaved by round, and now and then how much the server holds; without hostile traffic where
     there is no seed."""
     rounds = -(-messages // PER_ROUND)
-    sound, server = Sound(rounds), Bench()
+    sound = Sound(rounds)
     stream = iter(()) if seed is None else iter(Hostile(seed, FLEET, classes))
     order = np.random.default_rng(seed)
-    server.round(sound.first())
     found, sizes = [], []
-    for k in range(rounds):
-        mixed = [*sound.samples(CATCH_UP + k), *islice(stream, PER_ROUND)]
-        puts = server.round(mixed[i] for i in shuffled(mixed, order))
-        for key, payload in puts:
-            # What a server puts, a reader reads.
-            (ReachTube if key.endswith("/tube") else Event).decode(payload)
-        found.append(output(puts, FLEET))
-        if k % max(rounds // 16, 1) == 0:
-            sizes.append(held(server))
+    with Bench() as bench:
+        bench.round(sound.first())
+        for k in range(rounds):
+            mixed = [*sound.samples(CATCH_UP + k), *islice(stream, PER_ROUND)]
+            puts = bench.round(mixed[i] for i in shuffled(mixed, order))
+            for key, payload in puts:
+                # What a server puts, a reader reads.
+                (ReachTube if key.endswith("/tube") else Event).decode(payload)
+            found.append(output(puts, FLEET))
+            if k % max(rounds // 16, 1) == 0:
+                sizes.append(held(bench.server))
     return found, sizes
 
 

@@ -10,8 +10,9 @@ import pytest
 from fleet_bus.errors import MessageError, ScenarioError
 from fleet_bus.messages import EventKind, VehicleProfile
 from reach_server.engine.engine import Engine
-from reach_server.service import registry as fleet_module
-from reach_server.service.registry import LEAST_SILENT_KEPT, LET_GO, MOST_UNKNOWN, SILENT
+from reach_server.service import registry
+from reach_server.service.registry import LEAST_SILENT_KEPT, LET_GO, SILENT
+from reach_server.service.sample_admission import MOST_UNKNOWN
 from tests.reach_server.service.fleet_desk import NOW, SMALL, Desk, assignment, document, kinds
 
 TINY = SMALL.model_copy(update={"window": 40})
@@ -127,7 +128,7 @@ def test_ids_without_a_profile_are_bounded_counted_and_let_go() -> None:
 
 
 def test_the_number_of_vehicles_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet_module, "MOST_VEHICLES", 3)
+    monkeypatch.setattr(registry, "MOST_VEHICLES", 3)
     desk = Desk()
     for k in range(5):
         desk.process(desk.states(f"v{k}", 0, 2))
@@ -172,7 +173,7 @@ def test_a_profile_that_no_engine_can_be_made_for_changes_nothing(monkeypatch: p
     def fail(profile: VehicleProfile) -> Engine:
         raise MemoryError("no room")
 
-    monkeypatch.setattr(fleet_module, "Engine", fail)
+    monkeypatch.setattr(registry, "Engine", fail)
     with pytest.raises(MessageError, match="no room"):
         desk.fleet.set_profile("a", SMALL.model_copy(update={"window": 100}))
     assert desk.fleet.profile_of("a") == SMALL

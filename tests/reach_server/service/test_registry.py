@@ -14,7 +14,7 @@ from fleet_bus.messages import (
 )
 from reach_server.data.events import EngineEvent
 from reach_server.service.ingest import VehicleBatch
-from reach_server.service.registry import PROFILE_PATIENCE
+from reach_server.service.sample_admission import PROFILE_PATIENCE
 from reach_server.service.vehicle import MOST_KEPT
 from tests.reach_server.drives import START, SVEA
 from tests.reach_server.service.fleet_desk import NOW, SMALL, Desk, assignment, document, kinds

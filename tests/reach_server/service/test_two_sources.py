@@ -7,7 +7,7 @@ from fleet_bus.errors import MessageError
 from fleet_bus.messages import Assignment, EventKind, Label, parse_profile
 from fleet_bus.rejections import Rejections
 from reach_server.data.events import EngineEvent
-from reach_server.service.registry import Fleet
+from reach_server.service.fleet import Fleet
 from tests.reach_server.drives import SVEA
 from tests.reach_server.service.fleet_desk import NOW, SMALL, Desk, assignment, document, kinds
 

@@ -427,9 +427,9 @@ def test_a_trajectory_that_begins_with_earlier_stamps_is_the_current_one() -> No
 def test_any_time_zero_meets_any_stamp(zero: int, t: int) -> None:
     watched = Watched()
     watched.made.assign(0, box(window="0:3 s"), zero, 0.0)
-    course = watched.made.course("box")
+    tracker = watched.made.tracker("box")
     # Nothing holds outside of the region: what is asked of a sample at time zero only is false there alone.
     watched.samples[0].append((t, OUTSIDE))
     told = watched.look(0)
     assert [event.kind for event in told] == [EventKind.CONTRADICTION] * (t == zero)
-    assert course.started(np.array([0])).tolist() == [t >= zero]
+    assert tracker.started(np.array([0])).tolist() == [t >= zero]

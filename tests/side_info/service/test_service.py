@@ -328,20 +328,6 @@ def test_who_comes_late_gets_the_newest_by_subscribing_and_by_a_plain_query(
     assert ScenarioDocument.decode(reply.payload.to_bytes(), str(reply.encoding)).version == 2
 
 
-def test_the_status_comes_every_second(session: zenoh.Session, viewer: zenoh.Session) -> None:
-    now = [10**18]
-
-    def clock() -> int:
-        now[0] += 10**8
-        return now[0]
-
-    service = SideInfoService(session, [LOT], {}, "a", clock=clock)
-    with listening(viewer, keys.service_status("side-info", "a")) as get, running(service):
-        first, second = (ServiceStatus.decode(get().payload) for _ in range(2))
-    assert second.t - first.t == 10**9
-    assert (first.kind, first.instance, first.gauges["scenarios"]) == ("side-info", "a", 1)
-
-
 @pytest.mark.parametrize(
     ("assign", "words"),
     [

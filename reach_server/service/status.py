@@ -1,0 +1,77 @@
+"""What a server says of itself once a second: counters and gauges."""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Final
+
+from fleet_bus.messages import ServiceStatus
+from reach_server.service.fleet import Fleet
+from reach_server.service.load import Load
+
+#: Vehicles that a status names at most, in each of its lists, and problems.
+MOST_NAMED: Final = 100
+MOST_PROBLEMS: Final = 32
+
+
+@dataclass(slots=True)
+class Tally:
+    """Samples that were stored, and repeated by caches; tubes and events that were published, and events that were
+    withheld, being too many of a kind; rounds that failed; and how long (s) the newest rounds took: the computation
+    alone, and until all was published."""
+
+    stored: int = 0
+    repeated: int = 0
+    tubes: int = 0
+    events: int = 0
+    withheld: int = 0
+    failures: int = 0
+    compute: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
+    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
+
+
+def service_status(
+    instance: str,
+    started: int,
+    now: int,
+    *,
+    tally: Tally,
+    fleet: Fleet,
+    load: Load,
+    states: int,
+    refused: Mapping[str, int],
+    waiting: Mapping[str, str],
+    problems: Sequence[str],
+) -> ServiceStatus:
+    """The status of a server that ``started`` (Unix ns), at ``now`` (Unix ns).
+
+    ``states`` counts the samples that came, ``refused`` messages by reason, ``waiting`` says why vehicles have
+    no tube, ``problems`` what else an operator should look at.
+    """
+    filled = [count for engine in fleet.engines for count in engine.window_filled().tolist()]
+    clocks = sorted(fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:MOST_NAMED]
+    return ServiceStatus(
+        kind="reach", instance=instance, t=now, started=started,
+        counters={
+            "states": states, "stored": tally.stored, "repeated": tally.repeated, "tubes": tally.tubes,
+            "events": tally.events, "events_withheld": tally.withheld, "failures": tally.failures,
+        },
+        gauges={
+            "vehicles": float(len(filled)), "waiting": float(len(waiting)),
+            "window_least": float(min(filled, default=0)),
+            "compute_p50": _quantile(tally.compute, 0.5), "compute_p99": _quantile(tally.compute, 0.99),
+            "tick_p50": _quantile(tally.latencies, 0.5), "tick_p99": _quantile(tally.latencies, 0.99),
+            "behind": load.behind, "known": float(len(fleet.vehicles)),
+        },
+        refused=dict(refused),
+        waiting={vehicle: why[:200] for vehicle, why in islice(sorted(waiting.items()), MOST_NAMED)},
+        clock_offsets={vehicle: offset for vehicle, (offset, _) in clocks},
+        clock_spreads={vehicle: spread for vehicle, (_, spread) in clocks},
+        problems=[*problems, *([load.message] if load.late else [])][:MOST_PROBLEMS],
+    )  # fmt: skip
+
+
+def _quantile(values: deque[float], q: float) -> float:
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else 0.0
