@@ -52,7 +52,7 @@ class SharedVerbs(ABC):
 
     @abstractmethod
     def volume(self) -> FloatArray:
-        """Volume (...)."""
+        """Volume (...): exact where it can be told, else the outer end of ``volume_bracket``."""
 
     @abstractmethod
     def volume_bracket(self) -> tuple[FloatArray, FloatArray]:
