@@ -13,7 +13,7 @@ UV_VERSION := 0.13.9
 ARGS ?=
 # Tests run in so many processes; what runs in real time stays in one of them (tests/conftest.py).
 WORKERS := 2
-PYTEST = $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --dist loadgroup --no-loadscope-reorder
+PYTEST = $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo paper test test-fast coverage wheel campaign lint bench docs requirements clean kernels all-kernels
 

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Generator, Iterator
 from contextlib import nullcontext, redirect_stderr
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -57,14 +58,10 @@ def pytest_report_header() -> str | None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Properties that Hypothesis tries are marked as such; a campaign tells how far it is with each.
 
-    Workers share a session by groups (``--dist loadgroup``): a file is one, so that what its tests have in common is
-    computed once; all that run in real time are one, so that they do not slow each other down. That one comes first: it
-    takes longest.
+    What runs in real time comes first in a worker: it takes longest.
     """
     if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: not in_real_time(item))
-        for item in items:
-            item.add_marker(pytest.mark.xdist_group("real-time" if in_real_time(item) else item.path.stem))
+        items.sort(key=lambda item: not in_real_time(item.path))
     for item in items:
         test = getattr(item, "obj", None)
         if is_hypothesis_test(test):
@@ -73,9 +70,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 _progress.follow(config, test)
 
 
-def in_real_time(item: pytest.Item) -> bool:
-    """Whether a test starts processes that work in real time."""
-    return item.get_closest_marker("integration") is not None
+@functools.cache
+def in_real_time(path: Path) -> bool:
+    """Whether a file has tests that start processes, which work in real time."""
+    return "mark.integration" in path.read_text(encoding="utf-8")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
+    """Workers share a session by files, so that what the tests of one have in common is computed once.
+
+    All files that run in real time count as one: they do not slow each other down. (Not by ``--dist loadgroup``: that
+    puts groups into node ids, which pytest 9.2 does not let it, and then groups nothing.)
+    """
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Files(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            name = nodeid.partition("::")[0]
+            return "real time" if in_real_time(config.rootpath / name) else name
+
+    return Files(config, log)
 
 
 class _Progress:

@@ -77,3 +77,27 @@ def test_kernels_are_compiled_before_the_tests_that_need_them_and_for_no_others(
     assert re.search(r"making kernels ready.*\n.*kernels took .* s\n", said)
     assert "1 passed" in said
     assert "kernels took" not in run(tmp_path, "def test_nothing(): pass\n")
+
+
+def test_workers_find_kernels_compiled_and_one_has_all_that_runs_in_real_time(tmp_path: Path) -> None:
+    pytest.importorskip("xdist")
+    text = """
+import os, pytest
+import reach_server.numeric.jit
+
+@pytest.mark.integration
+@pytest.mark.parametrize("number", range(4))
+def test_real_time(number):
+    print("real time in", os.environ["PYTEST_XDIST_WORKER"])
+
+def test_first(): print("others in", os.environ["PYTEST_XDIST_WORKER"])
+def test_second(): print("others in", os.environ["PYTEST_XDIST_WORKER"])
+"""
+    (tmp_path / "test_other.py").write_text(text)
+    said = run(tmp_path, text, "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
+    assert said.count("kernels took") == 1
+    assert "12 passed" in said.splitlines()[-1]
+    found = re.findall(r"^real time in (gw\d)$", said, re.M)
+    assert len(found) == 8
+    assert len(set(found)) == 1
+    assert len(re.findall(r"^others in gw\d$", said, re.M)) == 4
