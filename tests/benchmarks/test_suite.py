@@ -173,6 +173,7 @@ def test_wrong_use_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("name", list(suite.BENCHMARKS))
+@pytest.mark.slow
 def test_each_benchmark_runs(name: str, tmp_path: Path) -> None:
     """Quickly; its rows have names of their own, and all of it can be written down."""
     report = suite.run([name], lambda report: None, tmp_path, lambda number, name, outcome: None, quick=True)

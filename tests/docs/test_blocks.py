@@ -139,6 +139,7 @@ def test_json_on_the_pages_is_json(path: Path) -> None:
         json.loads(text)
 
 
+@pytest.mark.slow
 def test_the_document_of_evaluate_has_the_keys_on_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from fleet_lab.evaluation import Settings, as_json, evaluate, plan_trials
     from vehicle_agent.recording import load_recording

@@ -126,6 +126,7 @@ def test_show_prints_formula_predicates_and_windows(touching: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped())
 @pytest.mark.parametrize("suffix", ["png", "svg"])
+@pytest.mark.slow
 def test_show_draws(name: str, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"picture.{suffix}"
     done = fleet("show", name, "-o", str(path), "--sample-time", "0.25")

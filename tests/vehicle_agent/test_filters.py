@@ -160,6 +160,7 @@ UGLY = st.sampled_from(
     values=st.lists(st.tuples(UGLY, UGLY), min_size=1, max_size=12),
     intervals=st.lists(st.sampled_from([1, 50_000_000, 10**12, 2**62]), min_size=12, max_size=12),
 )
+@pytest.mark.slow
 def test_no_sequence_of_measurements_poisons_a_filter(
     name: str, values: list[tuple[float, float]], intervals: list[int]
 ) -> None:

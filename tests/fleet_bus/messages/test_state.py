@@ -158,6 +158,7 @@ odd = samples(2, 1).map(lambda s: b"\x81\xa1d\xc6" + len(r := msgpack.unpackb(s.
 
 @settings(max_examples=examples(300))
 @given(st.lists(samples(2, 1).map(StateSample.encode) | samples().map(StateSample.encode) | bad | odd, max_size=12))
+@pytest.mark.slow
 def test_many_at_once_are_what_they_are_one_by_one(payloads: list[bytes]) -> None:
     expected: dict[int, StateSample] = {}
     reasons: dict[int, str] = {}

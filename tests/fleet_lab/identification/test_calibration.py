@@ -251,6 +251,7 @@ def fleet(*arguments: str) -> Result:
     return CliRunner().invoke(app, ["calibrate", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_profile_and_a_report(tmp_path: Path) -> None:
     drive = write(wavy(600), tmp_path / "wavy.npz")
     short = tmp_path / "short.yaml"

@@ -89,6 +89,7 @@ def plain_algorithm_2(drive: Drive, formula: Formula, step: int, *, remainder: b
 
 @pytest.mark.parametrize("formula", FORMULAS, ids=lambda formula: formula.key)
 @pytest.mark.parametrize("remainder", [False, True])
+@pytest.mark.slow
 def test_algorithm_2_line_by_line(drives: dict[str, Drive], formula: Formula, remainder: bool) -> None:
     drive = drives[formula.key]
     found = cuts.published_zonotopes(drive.sets, formula, drive.at, drive.truth, remainder=remainder)

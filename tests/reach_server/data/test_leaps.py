@@ -70,6 +70,7 @@ _prefix = st.lists(st.one_of(st.lists(_garbage, min_size=1, max_size=6), _stream
 
 @settings(max_examples=300, deadline=None)
 @given(_prefix, st.booleans(), st.data())
+@pytest.mark.slow
 def test_from_any_state_samples_that_agree_win_the_vehicle_back(
     prefix: list[list[Header]], one_by_one: bool, data: st.DataObject
 ) -> None:
@@ -93,6 +94,7 @@ def test_from_any_state_samples_that_agree_win_the_vehicle_back(
 
 @settings(max_examples=300, deadline=None)
 @given(st.integers(1, 150), _garbage, st.booleans())
+@pytest.mark.slow
 def test_one_bad_sample_costs_a_few_and_bears_no_tube(before: int, bad: Header, instead: bool) -> None:
     w = window()
     w.append(batch_of([good(k) for k in range(before)]))

@@ -147,6 +147,7 @@ def test_a_drift_is_no_jump(drift: float, seen: bool) -> None:
     assert made.labels[END - 1] is (Label.CONTRADICTED if seen else Label.GUARANTEED)
 
 
+@pytest.mark.slow
 def test_jumps_that_repeat_cost_the_label_as_long_as_they_do() -> None:
     count = 2 * RECENT
     drive, made = history(5, count), story()
@@ -164,6 +165,7 @@ def test_jumps_that_repeat_cost_the_label_as_long_as_they_do() -> None:
     assert labels[bad[3] + RECENT + 50] is Label.GUARANTEED
 
 
+@pytest.mark.slow
 def test_a_refuted_bound_is_believed_again_when_its_window_has_passed() -> None:
     count = 1400
     drive, made = history(5, count), story(SMALL.model_copy(update={"window": 60}))

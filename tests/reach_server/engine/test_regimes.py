@@ -18,6 +18,9 @@ from reach_server.models.kinematic_bounds import limits_ahead
 from reach_server.tube.summaries import enclosing
 from tests.reach_server.regimes import NEW, NOVEL, REGIMES, TOTAL, WINDOW, Drive, drive, profile, tubes_of
 
+# Each drive is driven with every method.
+pytestmark = pytest.mark.slow
+
 METHODS = ("set_membership", "residual_hull", "paper", "lti")
 SERVED = (*METHODS, "calibrated")
 

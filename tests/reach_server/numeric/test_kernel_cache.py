@@ -37,6 +37,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_an_edit_of_a_kernel_that_others_call_is_seen_and_its_revert_finds_the_old_code(copy: Path) -> None:
     cache = str(copy / "cache")
     called = copy / "reach_server" / "sets" / "kernels" / "planar.py"
@@ -49,6 +50,7 @@ def test_an_edit_of_a_kernel_that_others_call_is_seen_and_its_revert_finds_the_o
     assert area(copy, FLEET_KERNEL_CACHE=cache)[:2] == (4.0, 0)
 
 
+@pytest.mark.slow
 def test_a_checkout_elsewhere_finds_the_code(copy: Path) -> None:
     cache = str(copy / "cache")
     area(copy, FLEET_KERNEL_CACHE=cache)
@@ -58,6 +60,7 @@ def test_a_checkout_elsewhere_finds_the_code(copy: Path) -> None:
     assert area(other, FLEET_KERNEL_CACHE=cache)[:2] == (4.0, 0)
 
 
+@pytest.mark.slow
 def test_without_a_place_to_write_kernels_are_compiled_in_memory_and_a_warning_says_so(copy: Path) -> None:
     # Root may write to read-only folders: a file in the way stops everybody.
     blocked = copy / "blocked"
@@ -68,6 +71,7 @@ def test_without_a_place_to_write_kernels_are_compiled_in_memory_and_a_warning_s
     assert "FLEET_KERNEL_CACHE" in said
 
 
+@pytest.mark.slow
 def test_a_folder_that_others_can_write_to_is_not_trusted(copy: Path) -> None:
     shared = copy / "shared"
     (shared / "fleet-reach" / "kernels").mkdir(parents=True)
@@ -78,6 +82,7 @@ def test_a_folder_that_others_can_write_to_is_not_trusted(copy: Path) -> None:
     assert list(private.rglob("*.nbi"))
 
 
+@pytest.mark.slow
 def test_old_versions_are_removed(copy: Path) -> None:
     cache = copy / "cache"
     called = copy / "reach_server" / "sets" / "kernels" / "planar.py"

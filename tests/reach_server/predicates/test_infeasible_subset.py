@@ -71,6 +71,7 @@ def test_nobody_is_blamed_where_something_is_left() -> None:
         assert responsible(SQUARE, [RIGHT, FAR], np.array([1.0, scale])) == []
 
 
+@pytest.mark.slow
 def test_blame_is_the_same_in_all_units_and_falls_on_those_that_contradict() -> None:
     rng = generator("conflicts")
     found = 0

@@ -34,6 +34,7 @@ def test_silent_vehicles_beyond_a_number_are_let_go_and_their_slots_serve_again(
     assert engine.window_filled().tolist().count(3) == engine.count - 1
 
 
+@pytest.mark.slow
 def test_two_thousand_ids_come_and_go_in_little_memory() -> None:
     desk = Desk()
     desk.fleet.set_profile("lives", SMALL)

@@ -89,6 +89,7 @@ def test_random_sets_are_bounded_from_outside(case: Raw) -> None:
 @given(random_sets(), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 1.0]))
 # The height of the strip and that of the point are rounded differently.
 @example(raw("a point far away", [1e9, 1e9], [[], []]), 229, 0.0)
+@pytest.mark.slow
 def test_random_cuts_are_exact(case: Raw, seed: int, width: float) -> None:
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=case.n)
@@ -346,6 +347,7 @@ def test_the_hull_with_an_empty_set_is_the_other() -> None:
 
 @moderate
 @given(random_sets(n=2), st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_intersections_are_exact(case: Raw, seed: int) -> None:
     rng = np.random.default_rng(seed)
     R = rng.normal(size=(1, 2))

@@ -85,6 +85,7 @@ def test_fewer_constraints_enclose(case: Raw, count: int) -> None:
 
 @moderate
 @given(random_sets(rows=4), st.integers(0, 2))
+@pytest.mark.slow
 def test_random_sets_with_fewer_constraints_enclose(case: Raw, count: int) -> None:
     c, inner = case.constrained(), members(case, 2)
     assert_holds(of(c.reduce_constraints(count)), inner, case)

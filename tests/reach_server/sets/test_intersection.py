@@ -61,6 +61,7 @@ def test_an_intersection_keeps_the_common_points(case: Raw) -> None:
 
 @moderate
 @given(random_sets(rows=0), st.integers(1, 3), st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_preimages_keep_the_common_points(case: Raw, k: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(k, case.n))

@@ -152,6 +152,7 @@ def test_an_outline_that_fails_its_check_is_replaced_by_certified_directions(mon
     assert MultiPoint(found.outer).convex_hull.area < 1.1 * true.area
 
 
+@pytest.mark.slow
 def test_room_for_vertices_grows_as_needed() -> None:
     rng = np.random.default_rng(1)
     G, A = rng.normal(size=(1, 2, 20)), rng.normal(size=(1, 2, 20))

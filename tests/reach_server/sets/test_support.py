@@ -92,6 +92,7 @@ def test_every_number_of_iterations_gives_a_bound(seed: int, iterations: int) ->
 
 @moderate
 @given(st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_degenerate_programs_are_solved(seed: int) -> None:
     """Small whole numbers: ties in costs, dependent rows, vertices where many bounds meet."""
     rng = np.random.default_rng(seed)

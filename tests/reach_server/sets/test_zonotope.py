@@ -214,6 +214,7 @@ def test_strips_beyond_the_set_are_missed(case: Raw) -> None:
 
 @moderate
 @given(random_sets(rows=0), st.integers(0, 2**32 - 1), st.sampled_from(["tight", "frobenius"]))
+@pytest.mark.slow
 def test_random_cuts_lose_no_member(case: Raw, seed: int, method: StripMethod) -> None:
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=case.n)

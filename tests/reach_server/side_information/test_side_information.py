@@ -94,6 +94,7 @@ def stream(engine: Engine, which: "np.ndarray[tuple[int], np.dtype[np.intp]]") -
 
 
 @pytest.mark.parametrize("seed", range(14))
+@pytest.mark.slow
 def test_satisfying_trajectories_never_leave_the_tube(seed: int) -> None:
     """Formulas nested to depth 3; measured with noise, true states checked at every step of every horizon."""
     rng = random.Random(seed)

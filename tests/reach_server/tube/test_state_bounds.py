@@ -1,6 +1,7 @@
 """Sets within bounds: nothing of the intersection is lost, nothing is larger than the bounds, what fits stays."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,6 +44,7 @@ def points_of(rng: np.random.Generator, sets: RawSets) -> FloatArray:
 
 @moderate
 @given(st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_what_both_hold_is_kept_and_nothing_reaches_beyond(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sets = some(rng)

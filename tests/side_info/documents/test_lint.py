@@ -110,6 +110,7 @@ def test_what_ships_can_hold(name: str) -> None:
     assert not [finding for finding in lint(Scenario.load(name), 0.05) if "touches" not in finding.message]
 
 
+@pytest.mark.slow
 def test_what_is_called_impossible_is() -> None:
     """Random formulas of strips and discs: where a conflict is found, no sampled state or trace satisfies them."""
     chance = random.Random(7)

@@ -31,6 +31,7 @@ def traces(rng: np.random.Generator, formula: Normal, count: int, predicates: in
     return drawn
 
 
+@pytest.mark.slow
 def test_random_formulas_mean_what_brute_force_says() -> None:
     rng, arrays = Random(1), np.random.default_rng(1)
     pairs = satisfied = 0

@@ -4,6 +4,7 @@ from functools import partial
 from random import Random
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from side_info.progression import Grid, Table
@@ -145,6 +146,7 @@ def few_instants(rng: Random) -> tuple[int, int]:
     return start, start + rng.choice((0, rng.randint(0, 12)))
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_between_samples() -> None:
     """A formula about instants: its samples allow what is true of a signal.
 

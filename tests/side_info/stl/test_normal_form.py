@@ -361,6 +361,7 @@ def agreement(text: str, traces: list[list[dict[str, float]]]) -> tuple[int, int
     return compared, equal
 
 
+@pytest.mark.slow
 def test_kinks_and_connectives_at_one_time() -> None:
     compared = 0
     for seed in range(500):
@@ -372,6 +373,7 @@ def test_kinks_and_connectives_at_one_time() -> None:
     assert compared > 1000
 
 
+@pytest.mark.slow
 def test_formulas_over_time_on_the_grid() -> None:
     compared = 0
     for seed in range(400):
@@ -382,6 +384,7 @@ def test_formulas_over_time_on_the_grid() -> None:
     assert compared > 1000
 
 
+@pytest.mark.slow
 def test_formulas_over_time_off_the_grid_are_implied() -> None:
     compared = sum(
         agreement(texts.formula(4, kinks=0), [texts.trace(22) for _ in range(6)])[0]

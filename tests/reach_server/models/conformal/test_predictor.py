@@ -126,6 +126,7 @@ def test_later_inputs_that_are_known_make_sets_smaller() -> None:
     assert volume[1] < 0.8 * volume[0]
 
 
+@pytest.mark.slow
 def test_the_rate_holds_in_a_stream_and_recovers_after_a_shift() -> None:
     profile = PLAIN.model_copy(update={"window": 150})
     x, u = stationary(40, 1100, seed=3)

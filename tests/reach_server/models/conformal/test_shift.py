@@ -1,6 +1,7 @@
 """When the coming errors are no longer like those on record: the rate drops, that is told, and the margins follow."""
 
 import numpy as np
+import pytest
 from scipy.stats import binom
 
 from fleet_bus.messages import EventKind, Label, parse_profile
@@ -23,6 +24,7 @@ PROFILE = parse_profile(
 )
 
 
+@pytest.mark.slow
 def test_a_shift_lowers_the_rate_is_told_at_once_and_is_adapted_to() -> None:
     rng = np.random.default_rng(3)
     total = TRAINED + SHIFTED

@@ -276,6 +276,7 @@ def test_angles_of_boxes_that_touch_the_cut(
     assert upper[0] == pytest.approx(high, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_hypotenuses_and_powers_are_enclosed_to_some_ulps_of_each_end() -> None:
     rng = generator("hypot")
     x, y = (ugly_intervals(rng, examples(2000), UGLY, -MOST, MOST) for _ in range(2))
