@@ -81,7 +81,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     """Workers share a session by files, so that what the tests of one have in common is computed once.
 
     All files that run in real time count as one: they do not slow each other down. (Not by ``--dist loadgroup``: that
-    puts groups into node ids, which pytest 9.2 does not let it, and then groups nothing.)
+    puts groups into node ids, which pytest 9.2 no longer takes, and so groups nothing.)
     """
     if config.getoption("dist") != "loadfile":
         return None
