@@ -27,12 +27,6 @@ STATED = (
      "audit", "honest: 1 %, independent", "outside %", 2.5, 3.5),
     ("concepts/guarantees.md", "at least 98.9 % lie inside at every step",
      "recordings", "DART, calibrated", "inside, least %", 98.85, 98.95),
-    ("concepts/guarantees.md", "a fifth of the tubes is labelled `contradicted`",
-     "recordings", "DART, calibrated", "contradicted %", 17.0, 23.0),
-    ("concepts/guarantees.md", "a quarter of the states at step 10 lie outside",
-     "recordings", "F1TENTH, Koopman, calibrated", "worst run %", 72.0, 78.0),
-    ("concepts/guarantees.md", "All runs together are near 98 %",
-     "recordings", "F1TENTH, Koopman, calibrated", "inside, least %", 97.5, 98.5),
 )  # fmt: skip
 
 
