@@ -35,8 +35,9 @@ class Labels:
     data, and for the method of that name, while what enters the model is like the data; ``uncovered`` where it is not,
     or a bound is missing, so that nothing is claimed;
     ``contradicted`` where the record of a vehicle says that the label was wrong: a miss of a guaranteed set or data
-    that excludes the bounds, until these have held for long enough since; a pose that jumps again and again; or more
-    misses than the confidence of calibrated sets explains (docs: concepts/guarantees).
+    that excludes the bounds, until these have held for long enough since; a pose that jumps again and again; more
+    misses than the confidence of calibrated sets explains (docs: concepts/guarantees). What two sources publish is
+    marked so by the service.
     """
 
     def __init__(

@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag
-from reach_server.data import continuity
-from reach_server.data.continuity import FOLLOWS, ContinuityRules, broken_by
-from reach_server.data.leaps import LATEST, Rivals, lost_at_most, note, paused_at_most
+from reach_server.data import pose_jumps
+from reach_server.data.pose_jumps import FOLLOWS, ContinuityRules, broken_by
+from reach_server.data.stream_order import LATEST, Rivals, lost_at_most, note, paused_at_most
 from reach_server.numeric.jit import kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
 #: Numbers of a magnitude above this are no measurements; their squares would overflow.
 GREATEST = 1e30
 
-#: Status of a sample: one of these values, and for a stored one any of the bits below and of ``continuity``.
+#: Status of a sample: one of these values, and for a stored one any of the bits below and of ``pose_jumps``.
 STORED, REPEATED, BACKWARDS, STOPPED, NOT_FINITE, TOO_OLD, LEAP = 0, 1, 2, 3, 4, 5, 6
 REFUSED = 7
 NO_INPUT, FROZEN, JUMPED, RESYNCED, AFTER_FROZEN = (
-    8, continuity.FROZEN, continuity.JUMPED, 64, continuity.AFTER_FROZEN,
+    8, pose_jumps.FROZEN, pose_jumps.JUMPED, 64, pose_jumps.AFTER_FROZEN,
 )  # fmt: skip
 
 _MISSING = int(StateFlag.INPUT_MISSING)

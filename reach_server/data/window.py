@@ -5,10 +5,10 @@ from numpy.typing import NDArray
 
 from fleet_bus.messages import StateFlag, VehicleProfile
 from reach_server.data import ring_buffer as ring
-from reach_server.data.continuity import rules_of
-from reach_server.data.leaps import Rivals
+from reach_server.data.pose_jumps import rules_of
 from reach_server.data.ring_buffer import Ring, Samples
 from reach_server.data.samples import AppendReport, Block, Columns, SampleBatch
+from reach_server.data.stream_order import Rivals
 from reach_server.numeric.slot_table import grow_rows
 from reach_server.numeric.types import FloatArray, IntArray
 

@@ -13,7 +13,7 @@ from reach_server.data.window import Block, Window
 from reach_server.methods.base import Outlook, Reason
 from reach_server.methods.registry import Setup, register
 from reach_server.methods.request import PlannedInputs, TubeRequest
-from reach_server.models.conformal.held import Bounds
+from reach_server.models.conformal.limited import Bounds
 from reach_server.models.conformal.predictor import Boxes, ConformalPredictor
 from reach_server.models.kinematic_bounds import limits_ahead, states_limits
 from reach_server.models.residual_model import NoiseBounds

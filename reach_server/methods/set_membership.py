@@ -122,7 +122,7 @@ def outlook_of(
     profile: VehicleProfile, layout: RegressorSpec, horizon: int, request: TubeRequest, start: RawSets, seen: Seen
 ) -> Outlook:
     """The limits of the sets of vehicles that begin at ``start``: which regressors of the newest sample are outside the
-    data (``seen``), and what the profile states of true states."""
+    data (``observed_range``), and what the profile states of true states."""
     block = request.block
     z = np.concatenate([start.center[:, layout.free], lagged_inputs(block, layout)[:, -1]], axis=1)
     far = seen.outside(z)

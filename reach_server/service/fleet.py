@@ -19,11 +19,11 @@ from reach_server.data.events import EngineEvent
 from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine, PlannedInputs
 from reach_server.engine.results import Tubes
-from reach_server.service.admission import by_plan, rows_of
 from reach_server.service.ingest import VehicleBatch
 from reach_server.service.profiles import Profiles
 from reach_server.service.registry import VehicleRegistry
 from reach_server.service.sample_admission import SampleAdmission
+from reach_server.service.sample_rows import by_plan, rows_of
 from reach_server.service.scenario_assignments import ScenarioAssignments
 
 #: What a window refuses, or takes with a reservation, as it is counted: name in ``Appended``, reason, detail.

@@ -14,9 +14,9 @@ from reach_server.data.events import EngineEvent
 from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine
 from reach_server.service import fleet_events
-from reach_server.service.admission import contradiction, input_beyond_limits, newest_plan, samples_of
 from reach_server.service.profiles import Profiles
 from reach_server.service.registry import VehicleRegistry
+from reach_server.service.sample_rows import contradiction, input_beyond_limits, newest_plan, samples_of
 from reach_server.service.scenario_assignments import ScenarioAssignments
 from reach_server.service.vehicle import Vehicle
 

@@ -6,8 +6,8 @@ from typing import Final
 from fleet_bus.messages import StateBatch, VehicleProfile
 from fleet_bus.writers import Writer
 from reach_server.engine.engine import Engine
-from reach_server.service.admission import Plan
 from reach_server.service.clock_offsets import ClockOffset
+from reach_server.service.sample_rows import Plan
 
 #: Samples of a vehicle that are kept while its profile, or the decision about its writer, has not come.
 MOST_KEPT: Final = 2000

@@ -1,7 +1,8 @@
 """Fewer generators: enclosures of a zonotope by one of lower order.
 
 Each reduction encloses the sum of the generators it gives up in a parallelotope, whose half-lengths are rounded
-outwards: their sums by one ulp a term, and for the parallelotopes that are no boxes what the products lose, too.
+outwards: their sums by one ulp a term, and for the parallelotopes that are no boxes what the products lose, too. The
+compiled recursion reduces by ``kernels.order_reduction``, which rounds by a factor instead.
 """
 
 from typing import Literal

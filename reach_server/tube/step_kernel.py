@@ -26,7 +26,7 @@ from reach_server.models.set_membership import Fitted, HullWorkspace, hull_works
 from reach_server.numeric.jit import kernel, leaf_kernel
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
-from reach_server.sets.kernels.girard import reduce_one
+from reach_server.sets.kernels.order_reduction import reduce_one
 from reach_server.tube.rotation_kernel import turn_one
 
 

@@ -15,7 +15,7 @@ from reach_server.models.conformal.features import (
     step_sizes,
     turned,
 )
-from reach_server.models.conformal.held import Bounds, bounds_of, hold, hold_center
+from reach_server.models.conformal.limited import Bounds, bounds_of, hold, hold_center
 from reach_server.models.conformal.ridge import first_columns, increments_of, standardise
 from reach_server.models.conformal.scale import LEAST_SIZE
 from reach_server.models.conformal.score import encoded, renew_margins, score_of, tube_score, write
@@ -165,8 +165,8 @@ def outside_data(
 ) -> None:
     """Mark the states and inputs ``unseen`` (n + m,) of which what enters the model lies outside the data.
 
-    Of states and inputs themselves, lagged and later ones included, their ranges say so (``seen``). Rates and products,
-    which may have long tails, are outside if they are more than ``FAR`` units from the mean of the data and their
+    Of states and inputs themselves, lagged and later ones included, their ranges say so (``observed_range``). Rates and
+    products, which may have long tails, are outside if they are more than ``FAR`` units from the mean of the data and their
     square is more than that of all data together allows for: as if fewer than ``ENOUGH`` of them lay that far out."""
     mean, scale, gram, low, high = (
         model.mean[slot],

@@ -7,7 +7,7 @@ state with probability at least the profile's ``confidence`` [VGS05, chapter 2].
     d_{k+h} ≈ M_h φ_h                                  increment in the vehicle's own frame (or the world's)
     θ_{h+1} = θ_h + d^θ ,  p_{h+1} = p_h + R(θ_h) d^p     centre of step h + 1
     E_h = (R(-θ_k)(p_{k+h} - p̂_h), rest)               error in the frame of sample k
-    a_ih                                               its expected size (``sizing``)
+    a_ih                                               its expected size (``scale``)
     ζ_h = max_i |E_ih| / a_ih                          score
     s_h = the ceil((W+1) confidence)-th smallest of the W scores ζ_h that the window shows
     set: p̂_h ± R(θ_k) diag(s_h a_h)
@@ -28,7 +28,7 @@ from reach_server.data.readiness import samples_missing
 from reach_server.data.regressors import RegressorSpec
 from reach_server.data.window import Window
 from reach_server.models.conformal import fit as fitting
-from reach_server.models.conformal.held import Bounds
+from reach_server.models.conformal.limited import Bounds
 from reach_server.models.conformal.predict import forecast, known_now, observe
 from reach_server.models.conformal.scale import resize
 from reach_server.models.conformal.spec import FeatureSpec, Samples, owners

@@ -15,7 +15,8 @@ class Model(NamedTuple):
 
     ``mean``, ``scale``, ``limit`` (V, F) standardise the features; ``gram`` (V, F, F) lower triangle and ``cross``
     (V, F, C) are sums over the data numbered from ``oldest`` to before ``newest`` (V,), ``data`` (V,) in number;
-    ``ridge`` (V,); ``matrix`` (V, F, C). ``low`` and ``high`` (V, n + m): the ranges of states and inputs (``seen``).
+    ``ridge`` (V,); ``matrix`` (V, F, C). ``low`` and ``high`` (V, n + m): the ranges of states and
+    inputs (``observed_range``).
     """
 
     mean: FloatArray

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet_bus.messages import StateFlag, VehicleProfile, parse_profile
-from reach_server.data.continuity import LEAST_LINKS, SEEN_CHANGE
-from reach_server.data.leaps import LATE_BATCHES, PACE, RESYNC, SPARE
+from reach_server.data.pose_jumps import LEAST_LINKS, SEEN_CHANGE
 from reach_server.data.regressors import runs, wrap
+from reach_server.data.stream_order import LATE_BATCHES, PACE, RESYNC, SPARE
 from reach_server.data.window import AppendReport, SampleBatch, Window
 from reach_server.numeric.types import FloatArray
 from tests.examples import examples

@@ -8,7 +8,7 @@ import pytest
 from fleet_bus.messages import EventKind, Label, VehicleProfile, parse_profile
 from reach_server.audit.coverage import FORGIVEN
 from reach_server.audit.prediction_check import RECENT
-from reach_server.data.leaps import LATE_BATCHES, RESYNC
+from reach_server.data.stream_order import LATE_BATCHES, RESYNC
 from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine, PlannedInputs
 from reach_server.numeric.types import FloatArray

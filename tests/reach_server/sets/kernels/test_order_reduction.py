@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reach_server.numeric.types import FloatArray
-from reach_server.sets.kernels.girard import reduce_one
+from reach_server.sets.kernels.order_reduction import reduce_one
 from reach_server.sets.order_reduction import girard
 from tests.reach_server.ugly import moderate
 

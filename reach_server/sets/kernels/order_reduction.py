@@ -1,5 +1,5 @@
 """Fewer generators of one zonotope, compiled: those that are least like a box are kept, the sum of the others is
-enclosed by a box ([Gir05]; ``reduction.girard`` for batches of the set classes). Sums are rounded
+enclosed by a box ([Gir05]; ``sets.order_reduction`` for batches of the set classes). Sums are rounded
 outwards.
 """
 

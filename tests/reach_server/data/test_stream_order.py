@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet_bus.messages import StateFlag
-from reach_server.data.leaps import LATE_BATCHES, LATEST, RESYNC
+from reach_server.data.stream_order import LATE_BATCHES, LATEST, RESYNC
 from reach_server.data.window import SampleBatch, Window
 from tests.reach_server.data.test_bad_samples import ALL, START, STEP, circle, run_of, window
 

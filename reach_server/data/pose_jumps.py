@@ -74,7 +74,7 @@ def rules_of(profile: VehicleProfile) -> ContinuityRules:
 def broken_by(
     x: FloatArray, run: NDArray[np.int32], slot: int, before: int, held: int, elapsed: float, rules: ContinuityRules
 ) -> int:
-    """JUMPED, STALE or AFTER_STALE where the pose after index ``before`` does not follow from the one there."""
+    """JUMPED, FROZEN or AFTER_FROZEN where the pose after index ``before`` does not follow from the one there."""
     size = x.shape[1]
     index = (before + 1) % size
     said = 0.0
