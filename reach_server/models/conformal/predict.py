@@ -167,7 +167,8 @@ def outside_data(
 
     Of states and inputs themselves, lagged and later ones included, their ranges say so (``observed_range``). Rates and
     products, which may have long tails, are outside if they are more than ``FAR`` units from the mean of the data and
-    their square is more than that of all data together allows for: as if fewer than ``ENOUGH`` of them lay that far out."""
+    their square is more than that of all data together allows for: as if fewer than ``ENOUGH`` of them lay that far
+    out."""
     mean, scale, gram, low, high = (
         model.mean[slot],
         model.scale[slot],

@@ -144,7 +144,7 @@ def test_recordings_that_do_not_do_are_told_before_the_work(
 def test_without_the_project_the_recording_is_left_out_and_that_is_said(
     small: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fleet_cli import paper as command
+    from fleet_cli.commands import paper as command
 
     monkeypatch.setattr(command, "_RECORDING", tmp_path / "nowhere.npz")
     small(("first", lambda tell: whole()))

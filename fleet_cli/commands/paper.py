@@ -10,7 +10,7 @@ from fleet_bus.errors import UsageError
 from fleet_lab.files import check_writable, make_folder, write_json
 
 #: The recording that is taken when none is named, in a checkout of the project, and its profile.
-_RECORDING = Path(__file__).parents[1] / "tests" / "data" / "recordings" / "fix_dart_free.npz"
+_RECORDING = Path(__file__).parents[2] / "tests" / "data" / "recordings" / "fix_dart_free.npz"
 _PROFILE = "dart"
 
 
