@@ -19,7 +19,7 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def leaf_kernel(function: Callable[P, T]) -> Callable[P, T]:
-    """Like ``compiled``, for what makes no arrays: it does not count the references to those that it is given, which
+    """Like ``kernel``, for what makes no arrays: it does not count the references to those that it is given, which
     takes longer than the work on small ones. Whoever calls keeps them alive."""
     # Numba's run time system, which counts, is an option that its types do not know.
     without: dict[str, Any] = {"_nrt": False}
@@ -27,7 +27,7 @@ def leaf_kernel(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def reduction_kernel(function: Callable[P, T]) -> Callable[P, T]:
-    """Like ``compiled``, for what adds up many terms in any order: the processor then adds several at once.
+    """Like ``kernel``, for what adds up many terms in any order: the processor then adds several at once.
 
     The order is fixed when the function is compiled: equal arguments give equal results. Not for sums that are rounded
     outwards term by term; and ``x - x`` becomes 0 whatever x is, which ``np.isfinite`` is made of: ``abs(x) < np.inf``
@@ -38,7 +38,7 @@ def reduction_kernel(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def leaf_reduction_kernel(function: Callable[P, T]) -> Callable[P, T]:
-    """``summing`` for what makes no arrays, ``borrowing``."""
+    """``reduction_kernel`` for what makes no arrays, ``leaf_kernel``."""
     options: dict[str, Any] = {"_nrt": False, "fastmath": {"reassoc", "nsz"}}
     return cast(Callable[P, T], keep(numba.njit(nogil=True, error_model="numpy", **options)(function)))
 
@@ -52,7 +52,7 @@ def inline(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def inline_reduction(function: Callable[P, T]) -> Callable[P, T]:
-    """A sum that compiled functions call, ``summing``. Compiled with each of them, which may then take it in."""
+    """A sum that compiled functions call, ``reduction_kernel``. Compiled with each of them, which may then take it in."""
     order_free = {"reassoc", "nsz"}
     return cast(Callable[P, T], numba.njit(nogil=True, error_model="numpy", fastmath=order_free)(function))
 
