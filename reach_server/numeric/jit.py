@@ -52,7 +52,7 @@ def inline(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def inline_reduction(function: Callable[P, T]) -> Callable[P, T]:
-    """A sum that compiled functions call, ``reduction_kernel``. Compiled with each of them, which may then take it in."""
+    """A sum that compiled functions call, ``reduction_kernel``. Compiled with each of them, which may take it in."""
     order_free = {"reassoc", "nsz"}
     return cast(Callable[P, T], numba.njit(nogil=True, error_model="numpy", fastmath=order_free)(function))
 
