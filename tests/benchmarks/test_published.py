@@ -89,6 +89,7 @@ def test_reduction_keeps_every_support(seed: int) -> None:
     assert np.all(support[1] >= support[0] - 1e-9)
 
 
+@pytest.mark.slow
 def test_the_engine_knows_no_slopes_there_either() -> None:
     """Z_ε is zero on both sides: the bounds of the car hold in its own frame, `paper` fits in that of the world."""
     drives = fleets.cars(updates.samples(120, 2, 1), window=120, horizon=2)

@@ -136,6 +136,7 @@ def test_a_folder_that_cannot_be_made_is_told_before_the_first(tmp_path: Path, m
     assert "[1/1]" not in result.stderr
 
 
+@pytest.mark.slow
 def test_a_later_run_is_compared_with_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made.install(monkeypatch, first=made.works, second=made.works)
     assert "since" not in bench(tmp_path).stdout

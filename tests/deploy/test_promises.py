@@ -79,6 +79,7 @@ def test_commands_in_the_files_of_a_deployment_exist(path: Path) -> None:
         check_span(line)
 
 
+@pytest.mark.slow
 def test_commands_in_docstrings_and_messages_exist() -> None:
     found = {span for path in SOURCES for text in texts_of(path) for span in spans(text)}
     assert len(found) > 5
@@ -92,6 +93,7 @@ def test_keys_that_are_shown_exist(path: Path) -> None:
         assert any(stands_for(key, family) for family in FAMILIES), f"{path.name}: {key}"
 
 
+@pytest.mark.slow
 def test_keys_in_docstrings_and_messages_exist() -> None:
     found = {key for path in SOURCES for text in texts_of(path) for key in shown_keys(text)}
     assert len(found) > 5

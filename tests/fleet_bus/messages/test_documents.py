@@ -33,6 +33,7 @@ any_document = st.one_of(
 
 
 @given(any_document)
+@pytest.mark.slow
 def test_a_document_survives_the_wire(document: Document) -> None:
     found = type(document).decode(document.encode(), document.encoding())
     assert found == document

@@ -172,6 +172,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("what", TEXTS)
+@pytest.mark.slow
 def test_a_file_that_is_no_profile_is_refused_by_name(what: str, tmp_path: Path) -> None:
     path = tmp_path / "car.yaml"
     path.write_text(TEXTS[what], encoding="utf-8")

@@ -245,6 +245,7 @@ extremes = st.sampled_from([0.0, -0.0, 5e-324, 1e30, -1e30, np.nextafter(1e30, 2
 
 @settings(max_examples=300)
 @given(st.lists(st.tuples(whole_header, st.lists(extremes, min_size=7, max_size=7)), min_size=1, max_size=8))
+@pytest.mark.slow
 def test_both_ways_of_reading_hold_the_same_ranges(made: list[tuple[tuple[int, ...], list[float]]]) -> None:
     """Samples of one layout, so that they are read as a batch, with numbers at and beyond the ends of their ranges."""
     payloads = [

@@ -18,6 +18,7 @@ def same(a: ReachTube, b: ReachTube) -> bool:
 
 
 @given(tubes())
+@pytest.mark.slow
 def test_a_tube_survives_the_wire(tube: ReachTube) -> None:
     found = ReachTube.decode(tube.encode(), ENCODING)
     assert same(found, tube)

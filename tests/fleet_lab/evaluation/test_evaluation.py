@@ -93,6 +93,7 @@ def test_nothing_predicted_says_why() -> None:
         tally.figures(3, 0.99)
 
 
+@pytest.mark.slow
 def test_evaluation_of_methods() -> None:
     trials = plan_trials([wavy(560, runs=4)], PROFILE, train_runs="even")
     told: list[tuple[str, int, int]] = []
@@ -111,6 +112,7 @@ def test_evaluation_of_methods() -> None:
     assert areas[0] < 0.5 * areas[1]
 
 
+@pytest.mark.slow
 def test_frozen_learns_nothing_from_what_is_tested() -> None:
     # The tested runs have steering of the other sign: only a model that learns gets better.
     one = wavy(600, runs=2)
@@ -135,6 +137,7 @@ def fleet(drive: Path, *arguments: str) -> Result:
     return CliRunner().invoke(app, ["evaluate", str(drive), "--profile", profile, "--horizon", "2", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_prints_writes_and_draws(drive: Path, tmp_path: Path) -> None:
     document, picture = tmp_path / "figures.json", tmp_path / "figures.png"
     done = fleet(

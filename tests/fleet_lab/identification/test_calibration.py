@@ -38,6 +38,7 @@ def found() -> Calibration:
     return calibrated()
 
 
+@pytest.mark.slow
 def test_a_recording_is_enough(found: Calibration) -> None:
     profile = found.profile
     assert (profile.sample_time, profile.frame, profile.future_inputs) == (0.05, "body", "learned")
@@ -63,6 +64,7 @@ def test_it_tells_how_the_sets_do_on_what_was_held_out(found: Calibration) -> No
     )
 
 
+@pytest.mark.slow
 def test_the_text_loads_to_the_profile(found: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "wavy.yaml"
     path.write_text(as_yaml(found, ["wavy.npz"]), encoding="utf-8")
@@ -79,6 +81,7 @@ def test_the_fitted_bounds_hold_on_what_they_were_fitted_to(found: Calibration) 
     assert (found.bounds.widened(2.0) >= found.bounds.process + found.bounds.measured - 1e-15).all()
 
 
+@pytest.mark.slow
 def test_what_is_stated_stays_and_what_was_fitted_is_fitted_anew() -> None:
     measurement = {"box": [0.01, 0.01, 0.01, 0.05], "origin": "given"}
     process = {"box": [9.0, 9.0, 9.0, 9.0], "origin": "calibrated"}
@@ -134,6 +137,7 @@ def irregular() -> Recording:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_irregular_stamps_are_told_with_true_counts_and_options_that_there_are(irregular: Recording) -> None:
     with pytest.raises(CalibrationError, match="too irregular") as refused:
         calibrate(Request([irregular], {}, "log"), quiet)
@@ -163,6 +167,7 @@ def bad_recordings() -> dict[str, tuple[Recording, str]]:
 
 
 @pytest.mark.parametrize("name", bad_recordings())
+@pytest.mark.slow
 def test_where_no_calibration_can_be_made_a_draft_of_the_profile_is_left(name: str, tmp_path: Path) -> None:
     recording, said = bad_recordings()[name]
     drive, output = write(recording, tmp_path / "log.npz"), tmp_path / "log.yaml"
@@ -273,6 +278,7 @@ def test_the_command_writes_a_profile_and_a_report(tmp_path: Path) -> None:
     assert all((report / name).stat().st_size > 10_000 for name in ("coverage.png", "estimates.png"))
 
 
+@pytest.mark.slow
 def test_without_an_output_the_profile_is_printed(tmp_path: Path) -> None:
     drive = write(wavy(400), tmp_path / "wavy.npz")
     short = tmp_path / "short.yaml"

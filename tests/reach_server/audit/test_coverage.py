@@ -3,6 +3,7 @@
 from collections import deque
 
 import numpy as np
+import pytest
 
 from fleet_bus.messages import Audit
 from reach_server.audit.coverage import BEYOND_BOUNDS, FORGIVEN, CoverageRecord, Miss
@@ -33,6 +34,7 @@ def check(record: CoverageRecord, slots: list[int], k: int, x: list[float]) -> t
     return found.misses, found.left.tolist(), found.returned.tolist()
 
 
+@pytest.mark.slow
 def test_each_record_is_that_of_its_newest_checks() -> None:
     rng = np.random.default_rng(3)
     record = made(3, 0.05)

@@ -159,6 +159,7 @@ def test_what_goes_on_is_not_replaced_by_what_comes_now_and_then() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(_prefix, st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_what_one_vehicle_sends_changes_nothing_of_another(prefix: list[list[Header]], seed: int) -> None:
     rng = np.random.default_rng(seed)
     alone, together = window(), window(vehicles=2)

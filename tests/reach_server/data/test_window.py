@@ -46,6 +46,7 @@ _KEYS = st.tuples(st.integers(0, 2), st.integers(1, 2), st.integers(0, 30))
 
 @settings(max_examples=examples(150))
 @given(st.lists(st.lists(_KEYS, max_size=25), max_size=8))
+@pytest.mark.slow
 def test_the_newest_distinct_samples_are_held_in_order(batches: list[list[tuple[int, int, int]]]) -> None:
     held: dict[int, list[tuple[int, int]]] = {slot: [] for slot in range(3)}
     w = window()

@@ -18,6 +18,7 @@ START = 10**18
 
 
 @pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.slow
 def test_calibrated_sets_are_cut_only_where_the_measurement_noise_is_stated(stated: bool) -> None:
     profile = svea.profile()
     if not stated:

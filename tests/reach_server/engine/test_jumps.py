@@ -102,6 +102,7 @@ def test_a_noise_bound_that_is_false_falsifies(factor: float) -> None:
 
 
 @pytest.mark.parametrize(("factor", "excused"), [(3.5, False), (4.9, False), (40.0, True)])
+@pytest.mark.slow
 def test_what_a_bound_wrong_by_a_small_factor_explains_is_no_excuse(factor: float, excused: bool) -> None:
     """Where the noise is large against the motion a pose may jump by the window's rule: that alone excuses nothing."""
     error = 0.05

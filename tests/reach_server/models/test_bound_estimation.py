@@ -187,6 +187,7 @@ def test_kernels_agree_with_all_pairs() -> None:
     np.testing.assert_array_equal(nearest(z, weight, asked), distance.argmin(axis=1))
 
 
+@pytest.mark.slow
 def test_a_real_scale_window_of_the_simulated_car() -> None:
     drive_of_car = history(0, 1000)
     data = transitions(block_of(drive_of_car.measured, drive_of_car.inputs), LAYOUT)

@@ -106,6 +106,7 @@ def ragged(seed: int, count: int, slot: int = 0) -> SampleBatch:
 
 @moderate
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "world"]))
+@pytest.mark.slow
 def test_the_data_is_that_of_the_window_however_it_came(seed: int, frame: str) -> None:
     stream, rng = Stream(frame=frame), np.random.default_rng(seed)
     batch = ragged(seed, 230)

@@ -90,6 +90,7 @@ def test_the_hull_is_that_of_the_formula(seed: int, n: int, size: float) -> None
 
 @moderate
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 2, 3]), st.sampled_from([1e-9, 1.0, 1e6]))
+@pytest.mark.slow
 def test_set_membership_holds_what_agrees_with_all_data(seed: int, n: int, size: float) -> None:
     model, rng = random_model(seed, n, count=6, size=size), np.random.default_rng(seed)
     center, half = rng.normal(size=4) * size, rng.uniform(0, 0.5, 4) * size

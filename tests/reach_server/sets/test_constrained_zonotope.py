@@ -73,6 +73,7 @@ def test_an_empty_set_is_found_empty(case: Raw) -> None:
 
 @moderate
 @given(random_sets())
+@pytest.mark.slow
 def test_random_sets_are_bounded_from_outside(case: Raw) -> None:
     constrained = case.constrained()
     assert not constrained.is_empty()

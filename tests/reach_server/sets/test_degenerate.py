@@ -13,6 +13,7 @@ both = pytest.mark.parametrize("kind", KINDS, ids=["zonotope", "constrained"])
 
 
 @pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.slow
 def test_a_corner_cut_by_half_spaces_through_it_is_kept(n: int) -> None:
     inhabited = 0
     for seed in range(150):

@@ -157,6 +157,7 @@ def circle(x: FloatArray) -> FloatArray:
 
 
 @methods
+@pytest.mark.slow
 def test_linearised_rows_keep_the_points_that_obey_the_curved_one(method: StripMethod) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)

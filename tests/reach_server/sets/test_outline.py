@@ -99,6 +99,7 @@ def test_ugly_sets_have_exact_outlines(case: Raw) -> None:
 
 @moderate
 @given(st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_degenerate_sets_have_exact_outlines(seed: int) -> None:
     """Small whole numbers: parallel generators, dependent rows, vertices that many bases share."""
     rng = np.random.default_rng(seed)

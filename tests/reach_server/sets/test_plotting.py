@@ -60,6 +60,7 @@ def hull_of(one: AnySet, axes: tuple[int, int]) -> Polygon:
     [(PLANAR, (0, 1)), (PLANAR, (1, 0)), (CUT, (0, 1)), (CUT, (-1, 0))]
     + [(one, axes) for one in (SPATIAL, SPATIAL_CUT) for axes in ((0, 1), (0, 2), (-1, 1))],
 )
+@pytest.mark.slow
 def test_patches_are_the_projections(axis: Axes, one: AnySet, axes: tuple[int, int]) -> None:
     (patch,) = draw_sets(axis, one, axes, facecolor="none", edgecolor="k")
     drawn = Polygon(patch.get_xy())

@@ -282,6 +282,7 @@ def turned(
     st.sampled_from([0.0, 0.05, 0.7, 1.4999, 1.5001, 4.0]),
     st.sampled_from([0.0, 0.01, 1.0]),
 )
+@pytest.mark.slow
 def test_turned_increments_are_enclosed(seed: int, rho: float, size: float) -> None:
     """x + R(θ) d over common factors, by brute force: corners, edges and the inside of the factor box."""
     rng = np.random.default_rng(seed)

@@ -77,6 +77,7 @@ def test_figures_hold_the_set(case: Raw) -> None:
 
 @moderate
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3))
+@pytest.mark.slow
 def test_figures_of_cut_zonotopes_hold_what_obeys_the_cuts(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     center, generators = rng.normal(size=(1, 3)), rng.normal(size=(1, 3, 5))

@@ -141,6 +141,7 @@ def test_one_loop_comes_to_what_the_steps_come_to(cuts: CutMethod) -> None:
 
 @moderate
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["zonotope", "frobenius"]))
+@pytest.mark.slow
 def test_tubes_hold_what_obeys_the_cuts(seed: int, cuts: CutMethod) -> None:
     side, boxes = Side("always[0:1 s](lane and slow)", **ROAD), Boxes(3, seed)
     found = boxes.tubes(side.schedule(boxes), cuts)

@@ -57,6 +57,7 @@ def test_a_name_that_is_nearly_one_that_ships() -> None:
     assert found == "no file and no shipped scenario 'parking-lott': did you mean parking-lot?"
 
 
+@pytest.mark.slow
 def test_too_many_boxes_are_refused_where_they_stand() -> None:
     boxes = "".join(f"  R{k}: {{box: {{x1: [{k}, {k + 1}]}}}}\n" for k in range(3000))
     text = DOCUMENT.replace("regions:\n", f"regions:\n{boxes}")

@@ -171,6 +171,7 @@ def test_a_sample_time_that_is_none_is_refused(sample_time: float) -> None:
         lint(Scenario.parse(DOCUMENT), sample_time)
 
 
+@pytest.mark.slow
 def test_many_alternatives_are_given_up() -> None:
     text = " and ".join(f"(x1 >= {k} or x2 >= {k})" for k in range(30)) + " and x1 <= -1 and x2 <= -1"
     formula = Formula.parse(text, Declarations(("x1", "x2")))

@@ -150,6 +150,7 @@ def test_what_entails_holds_wherever_it_does() -> None:
     assert claims > 1000
 
 
+@pytest.mark.slow
 def test_subsumed_alternatives_can_go_at_once() -> None:
     rng, arrays = Random(8), np.random.default_rng(8)
     dropped = 0

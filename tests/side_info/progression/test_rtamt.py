@@ -84,6 +84,7 @@ def may_hold(breaks: list[float], true: Bools, stamp: float, margin: float) -> B
     return held
 
 
+@pytest.mark.slow
 def test_dense_time() -> None:
     """Signals that switch at any time: where RTAMT's dense time says true, the samples allow it.
 

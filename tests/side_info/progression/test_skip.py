@@ -3,6 +3,7 @@
 from random import Random
 
 import numpy as np
+import pytest
 
 from side_info.progression import DEAD, TRUE, Grid, Table
 from side_info.stl.nnf import Conjunction, Disjunction, Finally, Globally, Literal, Until, reach_ns
@@ -18,6 +19,7 @@ def numbered(predicate: int, _: int) -> int:
     return predicate
 
 
+@pytest.mark.slow
 def test_many_steps_at_once_are_many_single_steps() -> None:
     rng, arrays = Random(5), np.random.default_rng(5)
     compared = told_apart = 0

@@ -76,6 +76,7 @@ def test_windows_of_continuous_time() -> None:
     assert asked == [(0, 0), (1, 8)]
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_by_slack_and_jitter() -> None:
     """A formula about samples, true at a time zero off the grid, of stamps off the grid by up to half a step."""
     rng, arrays = Random(1), np.random.default_rng(1)

@@ -44,6 +44,7 @@ def test_thirty_independent_errands_are_weakened(most: int) -> None:
         assert not accepts(table, root, np.zeros((21, 30), dtype=bool))
 
 
+@pytest.mark.slow
 def test_few_alternatives_lose_nothing() -> None:
     rng, arrays = Random(1), np.random.default_rng(1)
     fulfilled = let_through = 0
@@ -66,6 +67,7 @@ def test_few_alternatives_lose_nothing() -> None:
     assert 100 < let_through < 3000
 
 
+@pytest.mark.slow
 def test_capped_obligations_are_weaker_and_few() -> None:
     rng, arrays = Random(2), np.random.default_rng(2)
     for _ in range(60):

@@ -244,6 +244,7 @@ formulas = st.recursive(comparisons() | st.sampled_from([P, Q]), _combined, max_
 
 
 @given(formulas)
+@pytest.mark.slow
 def test_what_is_printed_reads_back(formula: Formula) -> None:
     assert parse(str(formula)) == formula
 

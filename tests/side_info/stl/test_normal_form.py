@@ -257,6 +257,7 @@ TEMPLATES = [
 
 
 @given(st.sampled_from(TEMPLATES), decimals, decimals, decimals, decimals, positive, positive, st.integers())
+@pytest.mark.slow
 def test_predicates_agree_with_the_text(
     template: str, a: str, b: str, c: str, d: str, p: str, q: str, seed: int
 ) -> None:

@@ -20,6 +20,7 @@ RUNS = [
 
 
 @pytest.mark.parametrize(("name", "profile_name", "train", "test"), RUNS)
+@pytest.mark.slow
 def test_the_rate_is_met_on_runs_not_seen_before(
     name: str, profile_name: str, train: list[int], test: list[int]
 ) -> None:

@@ -72,6 +72,7 @@ def test_where_one_score_may_lie_beyond_both_groups_have_the_greatest_of_all() -
 
 @moderate
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.6, 0.9, 0.97]))
+@pytest.mark.slow
 def test_kept_rank_statistics_are_those_of_all_scores(seed: int, confidence: float) -> None:
     rng = np.random.default_rng(seed)
     indices, kinds = 60, 2

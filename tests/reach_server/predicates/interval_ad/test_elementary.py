@@ -144,6 +144,7 @@ def applied(code: str, *operands: Bounds) -> Bounds:
 
 
 @pytest.mark.parametrize("name", RISING)
+@pytest.mark.slow
 def test_rising_functions_are_enclosed_to_some_ulps_of_each_end(name: str) -> None:
     code, exact, limits, (low, high) = RISING[name]
     a = ugly_intervals(generator(name), examples(2000), UGLY, low, high)
@@ -155,6 +156,7 @@ def test_rising_functions_are_enclosed_to_some_ulps_of_each_end(name: str) -> No
         assert_end(upper, at(exact, limits, last), 1, what)
 
 
+@pytest.mark.slow
 def test_falling_and_even_functions_are_enclosed_to_some_ulps_of_each_end() -> None:
     rng = generator("acos")
     a = ugly_intervals(rng, examples(2000), UGLY, -1.0, 1.0)
@@ -206,6 +208,7 @@ def test_waves_are_enclosed_to_some_ulps_of_each_end(code: str, ahead: int) -> N
     assert rough < 0.7 * len(a[0])
 
 
+@pytest.mark.slow
 def test_tangents_are_enclosed_between_poles_and_nowhere_else() -> None:
     a = ugly_intervals(generator("tan"), examples(4000), UGLY + 4 * CIRCLE, -FARTHEST, FARTHEST)
     narrow = np.minimum(a[1], a[0] + np.abs(a[0]) * 1e-12 + 0.1)

@@ -1,6 +1,7 @@
 """Membership of batches against linear programs."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,6 +44,7 @@ def test_a_batch_mixes_cheap_answers_and_linear_programs() -> None:
 
 @moderate
 @given(random_sets(), st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_factors_reach_the_points_that_they_are_of(case: Set, seed: int) -> None:
     inside = members(case, 1)
     points = np.concatenate([inside[:3], [case.c + 2 * case.size * directions(case.n, 1, seed)[-1]]])
