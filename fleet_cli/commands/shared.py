@@ -1,5 +1,6 @@
 """What commands that work on a bus have in common."""
 
+import _thread
 import signal
 import threading
 from typing import Annotated
@@ -15,6 +16,12 @@ DEFAULT_ROUTERS = [DEFAULT_ROUTER]
 def stop_on_signals() -> threading.Event:
     """An event that SIGINT and SIGTERM set, so that sessions are closed before the process ends."""
     stop = threading.Event()
+
+    def tell(*_: object) -> None:
+        # Set by another thread: a handler runs in the main thread, wherever that is, and where it is about to wait for
+        # the event it holds the event's lock. Not by a ``Thread``, whose start takes locks of its own.
+        _thread.start_new_thread(stop.set, ())
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, tell)
     return stop

@@ -1,0 +1,33 @@
+"""A service ends when it is told to, at whatever moment that is."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from fleet_cli.commands.shared import stop_on_signals
+
+
+@pytest.fixture(autouse=True)
+def _handlers() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_sets_the_event(number: int) -> None:
+    stop = stop_on_signals()
+    os.kill(os.getpid(), number)
+    assert stop.wait(60)
+
+
+def test_a_signal_at_the_moment_at_which_the_wait_begins_is_heeded() -> None:
+    stop = stop_on_signals()
+    # Where ``wait`` has looked at the event and has not begun to wait yet, it holds this lock.
+    with stop._cond:  # type: ignore[attr-defined]
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert not stop._flag  # type: ignore[attr-defined]
+    assert stop.wait(60)
