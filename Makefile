@@ -116,7 +116,7 @@ requirements: $(VENV)/.python
 	@if [ -n "$${PIP_INDEX_URL:-}" ]; then export UV_DEFAULT_INDEX="$$PIP_INDEX_URL"; fi; \
 	mkdir -p requirements; \
 	$(COMPILE) $(ARGS) --extra dev -o requirements/dev.txt; \
-	$(COMPILE) $(ARGS) --extra agent --extra server --extra dashboard \
+	$(COMPILE) $(ARGS) --extra agent --extra server --extra pictures --extra recorder --extra dashboard --extra foxglove \
 	    --constraints requirements/dev.txt -o requirements/runtime.txt; \
 	$(COMPILE) $(ARGS) --extra agent --constraints requirements/dev.txt -o requirements/agent.txt; \
 	if grep -nE '://|index-url|find-links' requirements/*.txt; then \

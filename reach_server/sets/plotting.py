@@ -1,4 +1,4 @@
-"""Sets and tubes as Matplotlib artists: outlines in the plane, bands over time (needs the extra ``dashboard``).
+"""Sets and tubes as Matplotlib artists: outlines in the plane, bands over time (needs the extra ``pictures``).
 
 Nothing in the server imports this module.
 """
