@@ -2,19 +2,23 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, ClassVar, get_args
 
 import casadi
 import msgpack
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 
 from fleet_bus.errors import MessageError, ScenarioError
 from fleet_bus.messages import Assignment, ranges
+from fleet_bus.messages.fields import Field, FieldList
+from fleet_bus.messages.kinds import Array, Text, Whole
 from fleet_bus.messages.methods import CutMethod
 from fleet_cli.scenario_plane import lay_out
 from reach_server.predicates import Literals
@@ -205,6 +209,43 @@ def test_a_field_of_a_document_is_checked_described_and_has_its_default() -> Non
     # Why the recipe asks for a new version where readers are not replaced together with their writers.
     with pytest.raises(MessageError, match="lane"):
         Assignment.decode(sent.encode())
+
+
+@dataclass(frozen=True)
+class Load:
+    """A binary message of one state and, since lately, the weight of what it carries on each axle."""
+
+    vehicle: str
+    axles: NDArray[np.float64]
+    lane: int = 0
+
+    FIELDS: ClassVar = FieldList(
+        Field("v", "vehicle", Text(), "", "id of the vehicle"),
+        Field("w", "axles", Array("<f4", ("k", "2"), ranges.SIZE, ranges.STATES), "kg", "weight left and right"),
+    )
+
+
+def test_a_field_of_a_binary_message_follows_from_its_row() -> None:
+    fields = FieldList(*Load.FIELDS.fields, Field("q", "lane", Whole(LANE), "", "which lane it keeps"))
+    sent = Load("v", np.arange(6.0).reshape(3, 2), lane=3)
+    packed = fields.pack(sent)
+    assert packed.keys() == {"v", "w", "q"}
+    found = Load(**fields.read(packed))
+    assert (found.vehicle, found.lane) == ("v", 3)
+    np.testing.assert_array_equal(found.axles, sent.axles)
+    assert fields.fields[-1].json().items() >= {"title": "lane", "type": "integer", **LANE.json()}.items()
+    for wrong, reason in (
+        ({"q": 10}, "range"),
+        ({"q": 1.0}, "fields"),
+        ({"w": b"0" * 9}, "shape"),
+        ({"w": b""}, "shape"),
+    ):
+        with pytest.raises(MessageError) as refused:
+            fields.check(Load(**fields.read({**packed, **wrong})))
+        assert refused.value.reason == reason
+        assert next(iter(wrong)) in str(refused.value)
+    with pytest.raises(MessageError, match="missing \\['q'\\]"):
+        fields.read(Load.FIELDS.pack(sent))
 
 
 # --- a way to cut -----------------------------------------------------------------------------------------------------

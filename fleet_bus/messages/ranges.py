@@ -67,6 +67,10 @@ class Range:
             return {"exclusiveMinimum": self.low, "exclusiveMaximum": self.high}
         return {"minimum": self.low, "maximum": self.high}
 
+    def array_json(self) -> dict[str, float]:
+        """The range of the numbers of an array, which JSON Schema has no words for."""
+        return {f"x-{word}": limit for word, limit in self.json().items()}
+
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self._validated, handler(source))
 
@@ -132,16 +136,9 @@ GAUGE: Final = Range(-1e30, 1e30)
 MEMORY: Final = Range(0, 128 * 2**20, "bytes")
 TUBE_BYTES: Final = Range(0, 65_536, "bytes")
 
-#: By message and field, as docs/reference/wire.md lists them: ``*`` stands for any name, ``[]`` for any entry.
+#: By document and field, as docs/reference/wire.md lists them: ``*`` stands for any name, ``[]`` for any entry. Those
+#: of the binary messages stand in their lists of fields.
 FIELDS: Final[Mapping[str, Mapping[str, Range]]] = {
-    "StateSample": {
-        "epoch": EPOCH, "seq": SEQ, "t": TIME, "flags": FLAGS, "n": STATES, "m": INPUTS, "plan": PLAN,
-        "reserved": NONE, "x": VALUE, "u": VALUE, "bound": SIZE, "plan[]": VALUE, "plan_tolerance": SIZE,
-    },
-    "ReachTube": {
-        "e": EPOCH, "s": SEQ, "t": TIME, "T": AHEAD, "p": INDEX, "c": SET_VALUE, "g": SET_VALUE, "h": SET_VALUE,
-        "o": SET_VALUE, "a": AREA, "af": AREA, "k": STEP, "au": COUNTER, "au[2]": MISS, "se": EPOCH, "ct": DURATION,
-    },
     "VehicleProfile": {
         "state.*.limits": VALUE, "state.*.rate": RATE, "inputs.*.limits": VALUE, "inputs.*.rate": RATE,
         "sample_time": SAMPLE_TIME, "tolerance": TOLERANCE, "input_lags": LAGS, "window": WINDOW,

@@ -1,5 +1,6 @@
 """``StateSample``: one filtered state and the input in force from it on, all numbers in one bin."""
 
+import math
 import struct
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -19,13 +20,6 @@ VERSION: Final = 1
 ENCODING: Final = codec.encoding(SCHEMA, VERSION)
 MAX_BYTES: Final = 4096
 
-#: epoch, seq, t (ns), flags, n, m, plan steps, reserved (zero), padding to a multiple of 8
-_HEADER: Final = struct.Struct("<QQqIHHHHxxxx")
-_HEADER_DTYPE: Final = np.dtype(
-    [("epoch", "<u8"), ("seq", "<u8"), ("t", "<i8"), ("flags", "<u4"), ("n", "<u2"), ("m", "<u2"), ("plan", "<u2"),
-     ("reserved", "<u2"), ("pad", "V4")]
-)  # fmt: skip
-
 
 class StateFlag(IntFlag):
     """What a sample says about itself."""
@@ -37,15 +31,102 @@ class StateFlag(IntFlag):
     HISTORY = 8  #: recorded before this start of the agent: fills windows, gets no tube
 
 
-#: The ranges of the header's numbers, by name; ``plan`` are the steps of a plan there.
-HEADER: Final[Mapping[str, ranges.Range]] = {
-    "epoch": ranges.EPOCH, "seq": ranges.SEQ, "t": ranges.TIME, "flags": ranges.FLAGS, "n": ranges.STATES,
-    "m": ranges.INPUTS, "plan": ranges.PLAN, "reserved": ranges.NONE,
-}  # fmt: skip
-#: The ranges of the numbers after the header, in their order.
-NUMBERS: Final[Mapping[str, ranges.Range]] = {
-    "x": ranges.VALUE, "u": ranges.VALUE, "bound": ranges.SIZE, "plan": ranges.VALUE, "plan_tolerance": ranges.SIZE,
-}  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class HeaderField:
+    """A number of the header: its type (``u`` unsigned, ``i`` signed, bytes), its range and its meaning."""
+
+    name: str
+    type: str
+    span: ranges.Range
+    meaning: str
+
+    @property
+    def bytes(self) -> int:
+        """How many bytes it takes."""
+        return int(self.type[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class BodyField:
+    """An array of f8 after the header: the numbers of the header that make its shape, its range, and its meaning.
+
+    It is there where the ``flag`` is set and no number of its shape, nor that called ``with_``, is zero; always if
+    neither is given.
+    """
+
+    name: str
+    shape: tuple[str, ...]
+    span: ranges.Range
+    meaning: str
+    flag: StateFlag = StateFlag.NONE
+    with_: str = ""
+
+    @property
+    def present(self) -> str:
+        """When it is there, in words."""
+        return f"flags & {int(self.flag)}" if self.flag else f"{self.with_} > 0" if self.with_ else "always"
+
+    def there(self, header: Mapping[str, int]) -> bool:
+        """Whether a header says that it is there."""
+        if self.flag:
+            return bool(header["flags"] & self.flag)
+        return not self.with_ or header[self.with_] > 0
+
+    def count(self, header: Mapping[str, int]) -> int:
+        """How many numbers it has by a header."""
+        return math.prod(header[size] for size in self.shape) if self.there(header) else 0
+
+
+#: What encoder, decoders, checks, JSON Schema and docs/reference/wire.md follow. All numbers are little-endian.
+HEADER: Final = (
+    HeaderField("epoch", "u8", ranges.EPOCH, "id of this start of the agent; a later start has a greater one"),
+    HeaderField("seq", "u8", ranges.SEQ, "counts the samples of one epoch from 0; a gap means lost samples"),
+    HeaderField("t", "i8", ranges.TIME, "sample time, ns since the Unix epoch"),
+    HeaderField(
+        "flags", "u4", ranges.FLAGS, "sum of 1 input missing, 2 new trajectory, 4 carries its own bound, 8 history"
+    ),
+    HeaderField("n", "u2", ranges.STATES, "number of states"),
+    HeaderField("m", "u2", ranges.INPUTS, "number of inputs"),
+    HeaderField("plan", "u2", ranges.PLAN, "number of planned inputs after u, 0 for no plan"),
+    HeaderField("reserved", "u2", ranges.NONE, "zero"),
+)
+#: Bytes after the header's numbers that are written as zero and ignored by readers: what follows begins at a multiple
+#: of 8.
+PADDING: Final = -sum(field.bytes for field in HEADER) % 8
+BODY: Final = (
+    BodyField("x", ("n",), ranges.VALUE, "filtered state, in the order and units of the profile"),
+    BodyField("u", ("m",), ranges.VALUE, "input in force from t on; zeros if the flags say that it is missing"),
+    BodyField("bound", ("n",), ranges.SIZE, "half-widths of the error of x, not negative", flag=StateFlag.BOUND),
+    BodyField("plan", ("plan", "m"), ranges.VALUE, "inputs that will follow u, one row per sample time", with_="plan"),
+    BodyField(
+        "plan_tolerance", ("m",), ranges.SIZE, "half-widths around every row of the plan, not negative", with_="plan"
+    ),
+)
+
+_CODES: Final = {"u8": "Q", "i8": "q", "u4": "I", "u2": "H"}
+_HEADER: Final = struct.Struct(f"<{''.join(_CODES[field.type] for field in HEADER)}{PADDING}x")
+_HEADER_DTYPE: Final = np.dtype([*((field.name, f"<{field.type}") for field in HEADER), ("padding", f"V{PADDING}")])
+_NAMES: Final = tuple(field.name for field in HEADER)
+#: Where the part of the header begins that is equal in samples of one layout.
+_LAYOUT: Final = sum(field.bytes for field in HEADER[:3])
+
+
+def _parts(numbers: NDArray[np.float64], header: Mapping[str, int]) -> dict[str, NDArray[np.float64]]:
+    """Numbers (..., k) after a header as (..., *shape) by name, of the fields that are there.
+
+    Raises ``MessageError`` (not_finite, range).
+    """
+    parts = {}
+    start = 0
+    for field in BODY:
+        if not field.there(header):
+            continue
+        stop = start + field.count(header)
+        part = numbers[..., start:stop]
+        field.span.check_array(field.name, part)
+        parts[field.name] = part.reshape(numbers.shape[:-1] + tuple(header[size] for size in field.shape))
+        start = stop
+    return parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,25 +159,27 @@ class StateSample:
         """Payload of this sample (encoding ``fleet.state.v1``); raise ``MessageError`` where ``decode`` would refuse
         it."""
         flags = int(self.flags) & ~int(StateFlag.BOUND)
-        n, m = len(self.x), len(self.u)
-        parts: list[tuple[str, NDArray[np.float64], tuple[int, ...]]] = [("x", self.x, (n,)), ("u", self.u, (m,))]
         if self.bound is not None:
             flags |= int(StateFlag.BOUND)
-            parts.append(("bound", self.bound, (n,)))
-        steps = 0
-        if self.plan is not None and len(self.plan):
-            steps = len(self.plan)
-            tolerance = np.zeros(m) if self.plan_tolerance is None else self.plan_tolerance
-            parts += [("plan", self.plan, (steps, m)), ("plan_tolerance", tolerance, (m,))]
-        header = (int(self.epoch), int(self.seq), int(self.t), flags, n, m, steps, 0)
-        for (name, span), number in zip(HEADER.items(), header, strict=True):
-            span.check(name, number)
-        for name, array, shape in parts:
+        header = {
+            "epoch": int(self.epoch), "seq": int(self.seq), "t": int(self.t), "flags": flags, "n": len(self.x),
+            "m": len(self.u), "plan": 0 if self.plan is None else len(self.plan), "reserved": 0,
+        }  # fmt: skip
+        for field in HEADER:
+            field.span.check(field.name, header[field.name])
+        numbers = []
+        for part in BODY:
+            if not part.there(header):
+                continue
+            shape = tuple(header[size] for size in part.shape)
+            given: NDArray[np.float64] | None = getattr(self, part.name)
+            array = np.zeros(shape) if given is None else given
             if array.shape != shape:
-                raise MessageError("shape", f"{name} has shape {array.shape}, expected {shape}")
-            NUMBERS[name].check_array(name, array)
-        numbers = codec.to_bin(np.concatenate([array.ravel() for _, array, _ in parts]))
-        return codec.pack({"d": _HEADER.pack(*header) + numbers}, limit=MAX_BYTES)
+                raise MessageError("shape", f"{part.name} has shape {array.shape}, expected {shape}")
+            part.span.check_array(part.name, array)
+            numbers.append(array.ravel())
+        packed = _HEADER.pack(*header.values()) + codec.to_bin(np.concatenate(numbers))
+        return codec.pack({"d": packed}, limit=MAX_BYTES)
 
     @classmethod
     def decode(cls, payload: bytes, encoding: str = ENCODING) -> Self:
@@ -107,24 +190,20 @@ class StateSample:
         raw: bytes = fields["d"]
         if len(raw) < _HEADER.size:
             raise MessageError("shape", f"bin of {len(raw)} bytes is shorter than its header of {_HEADER.size}")
-        header = epoch, seq, t, flags, n, m, steps, _ = _HEADER.unpack_from(raw)
-        has_bound = bool(flags & StateFlag.BOUND)
-        counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
-        if len(raw) != _HEADER.size + 8 * sum(counts):
-            raise MessageError("shape", f"bin of {len(raw)} bytes, header says n={n} m={m} plan={steps}")
-        for (name, span), number in zip(HEADER.items(), header, strict=True):
-            span.check(name, number)
+        header = _header(raw, 0)
+        if len(raw) != _HEADER.size + 8 * (count := sum(field.count(header) for field in BODY)):
+            sizes = " ".join(f"{name}={header[name]}" for name in ("n", "m", "plan"))
+            raise MessageError("shape", f"bin of {len(raw)} bytes, header says {sizes}: {_HEADER.size + 8 * count}")
+        for field in HEADER:
+            field.span.check(field.name, header[field.name])
         numbers = np.frombuffer(raw, dtype="<f8", offset=_HEADER.size)
-        parts = np.split(numbers, np.cumsum(counts)[:-1])
-        for (name, span), part in zip(NUMBERS.items(), parts, strict=True):
-            span.check_array(name, part)
-        x, u, bound, plan, tolerance = parts
-        return cls(
-            epoch, seq, t, x, u, StateFlag(flags),
-            bound if has_bound else None,
-            plan.reshape(steps, m) if steps else None,
-            tolerance if steps else None,
-        )  # fmt: skip
+        flags = StateFlag(header["flags"])
+        return cls(header["epoch"], header["seq"], header["t"], flags=flags, **_parts(numbers, header))
+
+
+def _header(raw: bytes, offset: int) -> dict[str, int]:
+    """The numbers of a header by name."""
+    return dict(zip(_NAMES, _HEADER.unpack_from(raw, offset), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +221,9 @@ class StateBatch:
     flags: NDArray[np.uint32]
     x: NDArray[np.float64]
     u: NDArray[np.float64]
-    bound: NDArray[np.float64] | None
-    plan: NDArray[np.float64] | None
-    plan_tolerance: NDArray[np.float64] | None
+    bound: NDArray[np.float64] | None = None
+    plan: NDArray[np.float64] | None = None
+    plan_tolerance: NDArray[np.float64] | None = None
 
 
 def decode_states(
@@ -157,9 +236,9 @@ def decode_states(
     """
     groups: defaultdict[tuple[str, int, bytes], list[int]] = defaultdict(list)
     for index, (payload, encoding) in enumerate(zip(payloads, encodings, strict=True)):
-        # flags, n, m and plan steps stand at fixed places of the bin: bytes 24 to 40
+        # what tells the layout stands at a fixed place of the bin
         head = _bin_offset(payload)
-        layout = payload[head + 24 : head + _HEADER.size] if head else b""
+        layout = payload[head + _LAYOUT : head + _HEADER.size] if head else b""
         groups[encoding, len(payload), layout].append(index)
     batches: list[StateBatch] = []
     refused: list[tuple[int, MessageError]] = []
@@ -190,46 +269,36 @@ def _decode_equal(payloads: list[bytes], encoding: str, index: NDArray[np.intp])
     if encoding != ENCODING or not head or not head + _HEADER.size <= len(first) <= MAX_BYTES:
         return None
     body = len(first) - head - _HEADER.size
-    _, _, _, flags, n, m, steps, _ = _HEADER.unpack_from(first, head)
-    has_bound = bool(flags & StateFlag.BOUND)
-    counts = [n, m, n * has_bound, steps * m, m * bool(steps)]
-    if body != 8 * sum(counts):
+    header = _header(first, head)
+    count = sum(field.count(header) for field in BODY)
+    if body != 8 * count:
         return None
-    layout = np.dtype([("head", f"V{head}"), ("header", _HEADER_DTYPE), ("numbers", "<f8", (sum(counts),))])
+    layout = np.dtype([("head", f"V{head}"), ("header", _HEADER_DTYPE), ("numbers", "<f8", (count,))])
     rows = np.frombuffer(b"".join(payloads), dtype=layout)
-    fields, numbers = rows["header"], rows["numbers"]
+    fields = rows["header"]
     heads_equal = np.array_equal(rows["head"], np.broadcast_to(rows["head"][0], rows["head"].shape))
-    _, _, bound, plan, tolerance = parts = np.split(numbers, np.cumsum(counts)[:-1], axis=1)
     declared = int.from_bytes(first[4:head], "big")
     sound = (
         heads_equal
         and declared == body + _HEADER.size
-        and all(span.holds(fields[name]) for name, span in HEADER.items())
-        and all(span.holds(part) for span, part in zip(NUMBERS.values(), parts, strict=True))
+        and all(field.span.holds(fields[field.name]) for field in HEADER)
     )
     if not sound:
         return None
-    return StateBatch(
-        index, fields["epoch"], fields["seq"], fields["t"], fields["flags"], parts[0], parts[1],
-        bound if has_bound else None,
-        plan.reshape(len(payloads), steps, m) if steps else None,
-        tolerance if steps else None,
-    )  # fmt: skip
+    try:
+        parts = _parts(rows["numbers"], header)
+    except MessageError:
+        return None
+    return StateBatch(index, fields["epoch"], fields["seq"], fields["t"], fields["flags"], **parts)
 
 
 def _batch_of_one(sample: StateSample, index: int) -> StateBatch:
-    def row(array: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-        return None if array is None else array[None]
-
+    given = {field.name: getattr(sample, field.name) for field in BODY}
     return StateBatch(
         np.array([index]),
         np.array([sample.epoch], dtype=np.uint64),
         np.array([sample.seq], dtype=np.uint64),
         np.array([sample.t], dtype=np.int64),
         np.array([int(sample.flags)], dtype=np.uint32),
-        sample.x[None],
-        sample.u[None],
-        row(sample.bound),
-        row(sample.plan),
-        row(sample.plan_tolerance),
+        **{name: array[None] for name, array in given.items() if array is not None},
     )

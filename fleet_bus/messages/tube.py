@@ -1,10 +1,10 @@
 """``ReachTube``: where one vehicle can be at each step of the horizon, with its label and its record."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Final, Self
+from operator import attrgetter
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from fleet_bus import codec, keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import ranges
-from fleet_bus.messages.methods import TUBE_METHODS
+from fleet_bus.messages.fields import Field, FieldList
+from fleet_bus.messages.kinds import Array, Number, Row, Rows, Text, TextMap, Texts, Whole
+from fleet_bus.messages.methods import FROM_LIMITS, TUBE_METHODS
 
 SCHEMA: Final = "fleet.tube"
 VERSION: Final = 1
@@ -94,122 +96,85 @@ class ReachTube:
     def encode(self) -> bytes:
         """Payload of this tube (encoding ``fleet.tube.v1``); raise ``MessageError`` for a number outside of its range
         and for too many bytes."""
-        self._check()
-        return codec.pack(
-            {
-                "v": self.vehicle,
-                "e": self.epoch,
-                "s": self.seq,
-                "t": self.t,
-                "T": codec.to_bin(self.times, "<i8"),
-                "x": list(self.state_names),
-                "p": list(self.position),
-                "m": self.method,
-                "l": str(self.label),
-                "c": codec.to_bin(self.center),
-                "g": codec.to_bin(self.generators, "<f4"),
-                "h": codec.to_bin(self.hull, "<f4"),
-                "o": codec.to_bin(self.outline, "<f4"),
-                "a": codec.to_bin(self.area),
-                "af": codec.to_bin(self.area_free),
-                "k": [[cut.scenario, cut.predicate, cut.first, cut.last] for cut in self.cuts],
-                "n": list(self.notes),
-                "vd": dict(self.verdicts),
-                "au": [
-                    self.audit.checked,
-                    self.audit.inside,
-                    float(self.audit.last_miss),
-                    self.audit.recent,
-                    self.audit.recent_inside,
-                    self.audit.band,
-                ],
-                "sv": self.server,
-                "se": self.server_epoch,
-                "ct": float(self.compute_seconds),
-            },
-            limit=MAX_BYTES,
-        )
+        self._check_audit()
+        return codec.pack(FIELDS.pack(self), limit=MAX_BYTES)
 
     @classmethod
     def decode(cls, payload: bytes, encoding: str = ENCODING) -> Self:
         """Read one payload; raise ``MessageError`` with the reason if it is not a sound tube."""
         codec.check_encoding(encoding, SCHEMA, VERSION)
-        fields = codec.unpack(payload, limit=MAX_BYTES)
-        codec.check_fields(fields, _FIELDS)
-        times, names, position = fields["T"], fields["x"], fields["p"]
-        steps, n = len(times) // 8, len(names)
-        if not 1 <= steps <= MAX_HORIZON or len(times) % 8:
-            raise MessageError("shape", f"{len(times)} bytes of times")
-        if not 1 <= n <= 32 or not all(isinstance(name, str) for name in names):
-            raise MessageError("fields", "state names 'x' must be 1 to 32 texts")
-        if len(position) != 2 or not all(type(i) is int and 0 <= i < n for i in position):
-            raise MessageError("range", f"position {position!r:.40} must be two indices below {n}")
-        if fields["l"] not in set(Label):
-            raise MessageError("range", f"label {fields['l']!r:.40} is none of {[str(label) for label in Label]}")
-        if fields["m"] not in TUBE_METHODS:
-            raise MessageError("range", f"method {fields['m']!r:.40} is none of {list(TUBE_METHODS)}")
-        generators = len(fields["g"]) // (4 * steps * n)
-        vertices = len(fields["o"]) // (4 * steps * 2)
-        cuts = tuple(Cut(*_row(cut, "k", (str, str, int, int))) for cut in fields["k"])
-        checked, inside, miss, *rolling = _row(fields["au"], "au", (int, int, float, int, int, int))
-        audit = Audit(checked, inside, float(miss), *rolling)
-        if not all(isinstance(text, str) for text in (*fields["n"], *fields["vd"], *fields["vd"].values())):
-            raise MessageError("fields", "notes 'n' and verdicts 'vd' must be texts")
-        if keys.ID_PATTERN.fullmatch(fields["v"]) is None:
-            raise MessageError("fields", f"vehicle {fields['v']!r:.80} cannot be an id")
-        found = cls(
-            fields["v"], fields["e"], fields["s"], fields["t"],
-            codec.from_bin(fields, "T", (steps,), "<i8"),
-            tuple(names), (position[0], position[1]), fields["m"], Label(fields["l"]),
-            codec.from_bin(fields, "c", (steps, n)),
-            codec.from_bin(fields, "g", (steps, n, generators), "<f4").astype(np.float64),
-            codec.from_bin(fields, "h", (steps, 2, n), "<f4").astype(np.float64),
-            codec.from_bin(fields, "o", (steps, vertices, 2), "<f4").astype(np.float64),
-            codec.from_bin(fields, "a", (steps,)),
-            codec.from_bin(fields, "af", (steps,)),
-            cuts, tuple(fields["n"]), fields["vd"], audit,
-            fields["sv"], fields["se"], float(fields["ct"]),
-        )  # fmt: skip
-        found._check()
+        found = cls(**FIELDS.read(codec.unpack(payload, limit=MAX_BYTES)))
+        FIELDS.check(found)
+        found._check_audit()
         return found
 
-    def _check(self) -> None:
-        """Raise ``MessageError`` unless every number lies in its range."""
+    def _check_audit(self) -> None:
         audit = self.audit
-        ranges.EPOCH.check("e", self.epoch)
-        ranges.SEQ.check("s", self.seq)
-        ranges.TIME.check("t", self.t)
-        ranges.EPOCH.check("se", self.server_epoch)
-        for name, number, span in (
-            ("ct", self.compute_seconds, ranges.DURATION), ("au[2]", audit.last_miss, ranges.MISS),
-        ):  # fmt: skip
-            if not math.isfinite(number):
-                raise MessageError("not_finite", f"{name} is {number}")
-            span.check(name, number)
-        ranges.AHEAD.check_array("T", self.times)
-        ranges.SET_VALUE.check_arrays({"c": self.center, "g": self.generators, "h": self.hull, "o": self.outline})
-        ranges.AREA.check_arrays({"a": self.area, "af": self.area_free})
-        for cut in self.cuts:
-            ranges.STEP.check("k", cut.first)
-            ranges.STEP.check("k", cut.last)
-        for count in (audit.checked, audit.inside, audit.recent, audit.recent_inside, audit.band):
-            ranges.COUNTER.check("au", count)
         if not (audit.inside <= audit.checked and audit.recent_inside <= audit.recent <= audit.checked):
             raise MessageError("range", "more of the audit were inside than checked, or recent than all")
 
 
-def _row(row: Any, key: str, kinds: tuple[type, ...]) -> list[Any]:
-    """A list of values of the given types (an integer may stand for a float); raise ``MessageError`` otherwise."""
-    if not isinstance(row, list) or len(row) != len(kinds):
-        raise MessageError("fields", f"{key!r} must hold lists of {[kind.__name__ for kind in kinds]}")
-    for value, kind in zip(row, kinds, strict=True):
-        if type(value) is not kind and not (kind is float and type(value) is int):
-            raise MessageError("fields", f"{key!r} holds {type(value).__name__} where {kind.__name__} is expected")
-    return row
+_STEP: Final = Whole(ranges.STEP)
+_COUNT: Final = Whole(ranges.COUNTER)
+_INDEX: Final = Whole(ranges.INDEX)
+_AREA: Final = Array("<f8", ("h",), ranges.AREA)
 
 
-_FIELDS: Final[Mapping[str, type | tuple[type, ...]]] = {
-    "v": str, "e": int, "s": int, "t": int, "T": bytes, "x": list, "p": list, "m": str, "l": str,
-    "c": bytes, "g": bytes, "h": bytes, "o": bytes, "a": bytes, "af": bytes, "k": list, "n": list,
-    "vd": dict, "au": list, "sv": str, "se": int, "ct": (float, int),
-}  # fmt: skip
+def _set(dtype: str, *shape: str) -> Array:
+    return Array(dtype, shape, ranges.SET_VALUE)
+
+
+#: What encoder, decoder, checks, JSON Schema and docs/reference/wire.md follow: h steps, n states, g generators, K
+#: vertices.
+FIELDS: Final = FieldList(
+    Field("v", "vehicle", Text(pattern=keys.ID_PATTERN), "", "id of the vehicle, the same as in the key"),
+    Field("e", "epoch", Whole(ranges.EPOCH), "", "epoch of the sample that the tube starts from"),
+    Field("s", "seq", Whole(ranges.SEQ), "", "seq of that sample"),
+    Field("t", "t", Whole(ranges.TIME), "ns", "time of that sample"),
+    Field("T", "times", Array("<i8", ("h",), ranges.AHEAD, ranges.STEP), "ns", "time of each step"),
+    Field("x", "state_names", Texts(ranges.STATES, size="n"), "", "names of the n states, in order"),
+    Field(
+        "p", "position", Row((_INDEX, _INDEX), lambda *indices: indices, tuple, below="n"),
+        "", "indices (from 0) of the two position states",
+    ),
+    Field(
+        "m", "method", Text(TUBE_METHODS), "", f"how the sets came about; `{FROM_LIMITS}`: from limits, without a model"
+    ),
+    Field("l", "label", Text(tuple(map(str, Label)), make=Label), "", "what the tube claims"),
+    Field("c", "center", _set("<f8", "h", "n"), "of the state", "center of the set of each step"),
+    Field(
+        "g", "generators", _set("<f4", "h", "n", "g"),
+        "of the state", "the zonotope {c + G b : every abs(b_i) ≤ 1} contains the set",
+    ),
+    Field(
+        "h", "hull", _set("<f4", "h", "2", "n"),
+        "of the state", "lower bounds, then upper bounds, relative to the center",
+    ),
+    Field(
+        "o", "outline", _set("<f4", "h", "K", "2"),
+        "of the position", "convex polygon around the positions, counter-clockwise, relative to the center",
+    ),
+    Field("a", "area", _AREA, "squared position", "upper bound of the area of the position set"),
+    Field("af", "area_free", _AREA, "squared position", "the same without side information"),
+    Field(
+        "k", "cuts",
+        Rows(Row((Text(), Text(), _STEP, _STEP), Cut, attrgetter("scenario", "predicate", "first", "last"))),
+        "", "scenario, predicate, first step, last step (from 1, inclusive) of each predicate that made sets smaller",
+    ),
+    Field("n", "notes", Texts(), "", "limitations in words"),
+    Field("vd", "verdicts", TextMap(), "", "`<scenario>.<requirement>` to its verdict"),
+    Field(
+        "au", "audit",
+        Row(
+            (_COUNT, _COUNT, Number(ranges.MISS), _COUNT, _COUNT, _COUNT), Audit,
+            attrgetter("checked", "inside", "last_miss", "recent", "recent_inside", "band"),
+        ),
+        "of the state (the third)",
+        "one-step predictions checked, how many held, by how much the last miss lay outside (largest component); of "
+        "the newest checks, at most 1000, how many there are, how many held, and how many misses among them the "
+        "confidence explains",
+    ),
+    Field("sv", "server", Text(), "", "id of the server"),
+    Field("se", "server_epoch", Whole(ranges.EPOCH), "ns", "when that server started"),
+    Field("ct", "compute_seconds", Number(ranges.DURATION), "s", "time that the batch with this tube took to compute"),
+)  # fmt: skip

@@ -17,8 +17,9 @@ from fleet_bus.errors import MessageError
 from fleet_bus.messages import ReachTube, StateSample
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.kinds import Array
 from fleet_bus.messages.methods import METHODS
-from fleet_bus.schemas import DIALECT, STATE_BODY, STATE_HEADER, TUBE_FIELDS, generate, shipped
+from fleet_bus.schemas import DIALECT, generate, shipped
 from tests.fleet_bus.messages.examples import a_sample, a_tube, messages
 
 MESSAGES = messages()
@@ -73,36 +74,44 @@ def test_a_schema_refuses_missing_and_unknown_fields(name: str) -> None:
         assert not validator.is_valid({k: v for k, v in example.items() if k != key})
 
 
-def test_the_state_is_laid_out_as_its_table_says() -> None:
+def test_the_state_is_laid_out_as_its_schema_says() -> None:
+    layout = schema_of("StateSample")["properties"]["d"]["x-layout"]
     offset = 0
-    for place, kind, name, _ in STATE_HEADER:
-        assert place == offset, name
-        offset += 4 if kind == "4 bytes" else np.dtype(f"<{kind}").itemsize
     sample = a_sample(bound=np.full(4, 0.1), plan=np.arange(6.0).reshape(3, 2), plan_tolerance=np.array([0.5, 0.6]))
     raw = msgpack.unpackb(sample.encode())["d"]
     sizes: dict[str, int] = {}
-    for place, kind, name, _ in STATE_HEADER[:-1]:
-        sizes[name] = int(np.frombuffer(raw, f"<{kind}", 1, place)[0])
+    for entry in layout["header"]:
+        assert entry["offset"] == offset, entry
+        if entry["name"] == "padding":
+            assert not any(raw[offset : offset + 4])
+            offset += int(entry["type"].removesuffix(" bytes"))
+        else:
+            kind = np.dtype(f"<{entry['type']}")
+            sizes[entry["name"]] = int(np.frombuffer(raw, kind, 1, offset)[0])
+            offset += kind.itemsize
+    assert offset == layout["body-offset"] == 40
     assert (sizes["epoch"], sizes["seq"], sizes["t"], sizes["flags"]) == (sample.epoch, sample.seq, sample.t, 4)
-    for name, shape, _, _ in STATE_BODY:
-        dimensions = [sizes[s] for s in shape]
+    for entry in layout["body"]:
+        dimensions = [sizes[s] for s in entry["shape"]]
         count = int(np.prod(dimensions))
         found = np.frombuffer(raw, "<f8", count, offset).reshape(dimensions)
-        assert np.array_equal(found, getattr(sample, name)), name
+        assert np.array_equal(found, getattr(sample, entry["name"])), entry
         offset += 8 * count
     assert offset == len(raw)
 
 
-def test_the_bins_of_a_tube_are_what_its_table_says() -> None:
+def test_the_bins_of_a_tube_are_what_its_fields_say() -> None:
     tube = a_tube()
     fields = msgpack.unpackb(tube.encode())
-    assert [field.key for field in TUBE_FIELDS] == list(fields)
+    assert [field.key for field in tube_message.FIELDS.fields] == list(fields)
+    assert {field.name for field in tube_message.FIELDS.fields} == set(ReachTube.__dataclass_fields__)
     sizes = {"h": 3, "n": 4, "g": 4, "K": 4, "2": 2}
-    for field in TUBE_FIELDS:
-        if "x-dtype" in field.schema:
-            shape = [sizes[s] for s in field.schema["x-shape"]]
-            found = np.frombuffer(fields[field.key], field.schema["x-dtype"]).reshape(shape)
-            assert np.array_equal(found, getattr(tube, field.name)), field.name
+    arrays = [field for field in tube_message.FIELDS.fields if isinstance(field.kind, Array)]
+    assert len(arrays) == 7
+    for field in arrays:
+        assert isinstance(field.kind, Array)
+        found = np.frombuffer(fields[field.key], field.kind.dtype).reshape([sizes[s] for s in field.kind.shape])
+        assert np.array_equal(found, getattr(tube, field.name)), field.name
 
 
 @pytest.mark.parametrize("method", [*METHODS, "limits"])
@@ -115,7 +124,7 @@ def test_schema_and_decoder_of_a_tube_take_every_method_there_is(method: str) ->
 def test_schema_and_decoder_of_a_tube_refuse_another_method() -> None:
     payload = replace(a_tube(), method="magic").encode()
     assert not jsonschema.Draft202012Validator(schema_of("ReachTube")).is_valid(as_json(msgpack.unpackb(payload)))
-    with pytest.raises(MessageError, match="method 'magic' is none of") as refused:
+    with pytest.raises(MessageError, match="m is 'magic', none of") as refused:
         ReachTube.decode(payload)
     assert refused.value.reason == "range"
 
