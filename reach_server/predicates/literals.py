@@ -1,6 +1,7 @@
 """The predicates of a vehicle class, compiled once."""
 
-from collections.abc import Mapping, Sequence
+import heapq
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ class _Entry:
 
 
 class Literals:
-    """Predicates as literals of formulas, numbered from 0 in the order in which they came.
+    """Predicates as literals of formulas, numbered from 0 in the order in which they came; a new one takes the least
+    number that was released.
 
     Cuts are outer: no state that satisfies a predicate is lost (mathematics, 4.11 to 4.18). Predicates become tangents
     and linearisations whose remainder is bounded over zonotopes [Alt10] by interval arithmetic [Moo66].
@@ -43,8 +45,10 @@ class Literals:
         self.plane = plane
         known = noise is not None and bool(np.isfinite(noise).all())
         self._noise = np.array(noise, dtype=np.float64).reshape(n, -1) if known else None
-        self._entries: list[_Entry] = []
+        #: By number; None for one that was released.
+        self._entries: list[_Entry | None] = []
         self._known: dict[tuple[object, ...], int] = {}
+        self._free: list[int] = []
         self._fixed_strips: dict[int, Strips] = {}
 
     def add(
@@ -70,31 +74,59 @@ class Literals:
         if key not in self._known:
             noise = np.zeros((self._n, 0)) if self._noise is None else self._noise
             enclosure = self._compiled(predicate, index, StateUncertainty(noise, motion, margin))
-            self._known[key] = len(self._entries)
-            self._entries.append(_Entry(scenario, name, enclosure, _looks_back(predicate)))
+            entry = _Entry(scenario, name, enclosure, _looks_back(predicate))
+            if self._free:
+                number = heapq.heappop(self._free)
+                self._entries[number] = entry
+            else:
+                number = len(self._entries)
+                self._entries.append(entry)
+            self._known[key] = number
         return self._known[key]
+
+    def release(self, live: Collection[int]) -> None:
+        """Forget all literals but the ``live`` ones. Only when no table and no schedule refers to them any more."""
+        released = {number for number, entry in enumerate(self._entries) if entry is not None} - set(live)
+        self._known = {key: number for key, number in self._known.items() if number not in released}
+        for number in released:
+            self._entries[number] = None
+            self._fixed_strips.pop(number, None)
+            heapq.heappush(self._free, number)
+
+    @property
+    def held(self) -> int:
+        """How many literals there are that were not released."""
+        return len(self._entries) - len(self._free)
 
     @property
     def looks_back(self) -> BoolArray:
         """Which literals (L,) refer to the path since the last received sample."""
-        return np.array([entry.looks_back for entry in self._entries], dtype=bool)
+        return np.array([entry is not None and entry.looks_back for entry in self._entries], dtype=bool)
 
     @property
     def count(self) -> int:
-        """How many literals there are."""
+        """One more than the greatest number that a literal has had."""
         return len(self._entries)
 
+    def _entry(self, literal: int) -> _Entry:
+        entry = self._entries[literal]
+        if entry is None:
+            raise KeyError(f"literal {literal} was released")
+        return entry
+
     def scenario(self, literal: int) -> str:
-        """The scenario that a literal belongs to."""
-        return self._entries[literal].scenario
+        """The scenario that a literal belongs to, empty for one that was released."""
+        entry = self._entries[literal]
+        return "" if entry is None else entry.scenario
 
     def name(self, literal: int) -> str:
-        """The name of its predicate."""
-        return self._entries[literal].name
+        """The name of its predicate, empty for one that was released."""
+        entry = self._entries[literal]
+        return "" if entry is None else entry.name
 
     def fixed(self, literal: int) -> bool:
         """Whether its strips depend neither on the set nor on the context."""
-        return self._noise is None or self._entries[literal].enclosure.fixed
+        return self._noise is None or self._entry(literal).enclosure.fixed
 
     def fixed_strips(self, literal: int) -> Strips:
         """The strips (C,) of a literal for which they depend neither on the set nor on the context: outer."""
@@ -114,7 +146,7 @@ class Literals:
         """
         found = np.zeros((len(center), len(ids)), dtype=np.int8)
         for column, literal in enumerate(ids if len(center) else ()):
-            found[:, column] = self._entries[literal].enclosure.verdict(center, generators, context)
+            found[:, column] = self._entry(literal).enclosure.verdict(center, generators, context)
         return found
 
     def strips(
@@ -128,7 +160,7 @@ class Literals:
         if self._noise is None:
             nothing = np.zeros(0)
             return Strips(np.zeros((0, self._n)), nothing, nothing), np.zeros(len(center), dtype=bool)
-        return self._entries[literal].enclosure.strips(center, generators, context)
+        return self._entry(literal).enclosure.strips(center, generators, context)
 
     def _compiled(
         self, predicate: Predicate, index: Mapping[str, int], uncertainty: StateUncertainty

@@ -26,6 +26,8 @@ __all__ = ["MOST_BRANCHES", "MOST_OBLIGATIONS", "Assignments", "InitialCondition
 
 #: Obligations after which those are forgotten that no vehicle has any more.
 MOST_OBLIGATIONS: Final = 100_000
+#: Predicates of documents that are in force no more, after which these are forgotten.
+MOST_UNUSED: Final = 64
 #: Branches of one track at one step.
 MOST_BRANCHES: Final = 8
 
@@ -93,6 +95,7 @@ class Assignments:
         tracker = ScenarioTracker(scenario, self.table, self._profile.sample_time_ns, self.horizon + 1, formulas)
         tracker.take_over(before)
         self._trackers[scenario.name] = tracker
+        self._release()
         return tracker
 
     def tracker(self, scenario: str) -> ScenarioTracker:
@@ -122,6 +125,17 @@ class Assignments:
     def _drop_idle(self) -> None:
         """Forget the scenarios that no vehicle takes part in."""
         self._trackers = {name: tracker for name, tracker in self._trackers.items() if tracker.assigned.any()}
+        self._release()
+
+    def _release(self) -> None:
+        """Forget the predicates that no scenario in force asks for, once they are many."""
+        live = {
+            literal for t in self._trackers.values() for pursuit in t.pursuits.values() for literal in pursuit.literals
+        }
+        if self.literals.held > len(live) + MOST_UNUSED:
+            # What the old table and what was scheduled by it say about the numbers must not outlive their meaning.
+            self._forget()
+            self.literals.release(live)
 
     def began(self, slots: IndexArray, t: IntArray, order: Sequence[tuple[int, int]]) -> None:
         """Trajectories begin (B,): a scenario that begins with the vehicle says nothing about a later trajectory."""
