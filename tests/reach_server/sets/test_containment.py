@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from shapely import MultiPoint
@@ -88,6 +88,8 @@ def test_constrained_sets_in_zonotopes() -> None:
 @given(random_sets(n=2, rows=0), random_sets(n=2, rows=0), st.floats(0, 2))
 def test_meeting_in_the_plane_agrees_with_shapely(a: Raw, b: Raw, apart: float) -> None:
     size = a.size + b.size
+    # Among the last digits that there are, Shapely's distances are none.
+    assume(size == 0 or size > 1e-280)
     moved = Zonotope(b.c + apart * size * np.array([0.6, 0.8]), b.G)
     first = MultiPoint(corners(a)).convex_hull
     second = MultiPoint(corners(b) + moved.center - b.c).convex_hull
