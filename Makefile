@@ -9,6 +9,7 @@ SHELL := bash
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+INSTALL := .ci/install $(BIN)
 UV_VERSION := 0.13.9
 ARGS ?=
 # Tests run in so many processes; what runs in real time stays in one of them (tests/conftest.py).
@@ -74,7 +75,7 @@ $(VENV)/.python:
 	@for python in $(or $(PYTHON),python3.11 python3.12 python3.13 python3.14 python3); do \
 	    if "$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
 	        echo "making $(VENV) with $$("$$python" --version)"; \
-	        "$$python" -m venv $(VENV); \
+	        "$$python" -m venv --clear $(VENV); \
 	        touch $@; \
 	        exit 0; \
 	    fi; \
@@ -83,9 +84,14 @@ $(VENV)/.python:
 	    "or name it: make PYTHON=/path/to/python3.11" >&2; \
 	exit 1
 
-$(VENV)/.runtime: requirements/runtime.txt | $(VENV)/.python
-	@echo "installing $<"
-	@$(PIP) install --require-hashes -r $<
+# uv takes seconds where pip takes a minute; where it cannot be had or fails, pip does the work.
+$(VENV)/.uv: requirements/uv.txt | $(VENV)/.python
+	@$(PIP) install --require-hashes -r $< || echo "uv cannot be had: pip installs, which takes longer" >&2
+	@touch $@
+
+$(VENV)/.runtime: requirements/runtime.txt | $(VENV)/.uv
+	@echo "installing $< ($$(grep -c '==' $<) packages)"
+	@$(INSTALL) --require-hashes -r $<
 	@touch $@
 
 # Every package carries a py.typed: a new package is installed too.
@@ -102,8 +108,8 @@ all-kernels: $(VENV)/.project
 	@$(BIN)/python -m reach_server.service.warm_up
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.project
-	@echo "installing $<"
-	@$(PIP) install --require-hashes -r $<
+	@echo "installing $< ($$(grep -c '==' $<) packages)"
+	@$(INSTALL) --require-hashes -r $<
 	@touch $@
 
 # The smaller sets take their versions from dev.txt, so that all three agree.
@@ -115,6 +121,9 @@ requirements: $(VENV)/.python
 	@$(PIP) install uv==$(UV_VERSION)
 	@if [ -n "$${PIP_INDEX_URL:-}" ]; then export UV_DEFAULT_INDEX="$$PIP_INDEX_URL"; fi; \
 	mkdir -p requirements; \
+	echo "uv==$(UV_VERSION)" | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	    --no-emit-index-url --no-emit-find-links --custom-compile-command "make requirements" - \
+	    -o requirements/uv.txt; \
 	$(COMPILE) $(ARGS) --extra dev -o requirements/dev.txt; \
 	$(COMPILE) $(ARGS) --extra agent --extra server --extra pictures --extra recorder --extra dashboard --extra foxglove \
 	    --constraints requirements/dev.txt -o requirements/runtime.txt; \
