@@ -9,7 +9,7 @@ from fleet_bus.messages import StateFlag
 from reach_server.data import pose_jumps
 from reach_server.data.pose_jumps import FOLLOWS, ContinuityRules, broken_by
 from reach_server.data.stream_order import LATEST, Rivals, lost_at_most, note, paused_at_most
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import YES, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
 #: Numbers of a magnitude above this are no measurements; their squares would overflow.
@@ -132,7 +132,7 @@ def _admit(batch: Samples, k: int, number: int, ring: Ring, count: int, rivals: 
             begins or paused_at_most(before, stamp, seq, t, interval)
         ):
             follows = STORED
-    if follows != STORED and note(rivals, slot, epoch, seq, t, number, interval, True):
+    if follows != STORED and note(rivals, slot, epoch, seq, t, number, interval, YES):
         return RESYNCED
     return follows
 

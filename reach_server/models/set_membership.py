@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.jit import NO, kernel, leaf_kernel
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
 from reach_server.sets.kernels.planar import pair_area
@@ -289,7 +289,7 @@ def _smaller(
             workspace.active[i] = False
     used, empty = narrow_one(
         workspace.center, workspace.generators, used, workspace.normals, workspace.sides[0], workspace.sides[1],
-        workspace.active, plane0, plane1, False, workspace.acted, workspace.cuts,
+        workspace.active, plane0, plane1, NO, workspace.acted, workspace.cuts,
     )  # fmt: skip
     if empty:
         return _hull(fitted, v, hull_half, extra, workspace), True

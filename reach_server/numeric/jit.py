@@ -1,4 +1,8 @@
-"""Numba behind a typed door: loops over single sets that NumPy cannot give."""
+"""Numba behind a typed door: loops over single sets that NumPy cannot give.
+
+A number or flag that stands in a call between kernels has a type of its own, for which the called kernel, and all that
+it calls, is compiled once more. ``ZERO``, ``ONE``, ``NO`` and ``YES`` have the types of variables.
+"""
 
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
@@ -11,6 +15,9 @@ from reach_server.numeric.types import FloatArray
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+ZERO, ONE = cast(int, np.int64(0)), cast(int, np.int64(1))
+NO, YES = cast(bool, np.bool_(False)), cast(bool, np.bool_(True))
 
 
 def kernel(function: Callable[P, T]) -> Callable[P, T]:

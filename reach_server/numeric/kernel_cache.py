@@ -23,6 +23,7 @@ from typing import Any, Final
 import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
+from numba.core.registry import cpu_target
 
 #: Versions of one file's kernels that are kept; the least recently used go first.
 KEPT_VERSIONS: Final = 8
@@ -151,6 +152,11 @@ class _SourceKeyedCache(FunctionCache):
     def __init__(self, py_func: Any) -> None:
         super().__init__(py_func)  # type: ignore[no-untyped-call]
 
+    def holds(self, argument_types: tuple[Any, ...]) -> bool:
+        """Whether machine code for these types of arguments is there."""
+        key = self._index_key(argument_types, cpu_target.target_context.codegen())  # type: ignore[no-untyped-call]
+        return key in self._cache_file._load_index()  # type: ignore[no-untyped-call]
+
     def save_overload(self, sig: Any, data: Any) -> None:
         # A full disk costs a compilation in the next process; it is no reason to fail.
         with suppress(OSError):
@@ -164,3 +170,10 @@ def keep(dispatcher: Any) -> Any:
     # Numba offers its own cache by a flag only; this is the attribute which that flag sets.
     dispatcher._cache = _SourceKeyedCache(dispatcher.py_func) if known else NullCache()
     return dispatcher
+
+
+def is_kept(dispatcher: Any, argument_types: tuple[Any, ...]) -> bool:
+    """Whether a kernel's machine code for some types of arguments is in the cache; it may be out of date no more than
+    its sources are."""
+    cache = dispatcher._cache
+    return isinstance(cache, _SourceKeyedCache) and cache.holds(argument_types)

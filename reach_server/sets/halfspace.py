@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from reach_server.numeric.checks import SetError, checked, checked_batch, checked_bounds
 from reach_server.numeric.intervals import Interval
-from reach_server.numeric.jit import reduction_kernel, stacked
+from reach_server.numeric.jit import ZERO, reduction_kernel, stacked
 from reach_server.numeric.rounding import add_down, add_up
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.sets.kernels.strip import MISSED, WORK, Flags, narrow_one, tightened
@@ -201,7 +201,7 @@ def _tightened_rows(
     work = np.zeros((WORK, max(n, g)))
     for p in range(count):
         middle[p], radius[p], _, cuts[p], empty[p] = tightened(
-            center[p % len(center)], generators[p % len(generators)], g, normal[p % len(normal)], 0,
+            center[p % len(center)], generators[p % len(generators)], g, normal[p % len(normal)], ZERO,
             lower[p % len(lower)], upper[p % len(upper)], work,
         )  # fmt: skip
     return middle, radius, cuts, empty

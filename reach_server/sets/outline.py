@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach_server.numeric.jit import kernel, stacked
+from reach_server.numeric.jit import NO, YES, kernel, stacked
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.sets import polygon as planar
@@ -86,7 +86,7 @@ def trace(
         load(
             matrix[p if matrix.shape[0] > 1 else 0], offset[p if offset.shape[0] > 1 else 0], rows, scale, tableau
         )  # fmt: skip
-        rank = factorise(rows, tableau, basis, basic, False)
+        rank = factorise(rows, tableau, basis, basic, NO)
         if dependent_rows_fail(rows, tableau, rank, ray):
             numbers[p] = -1
             continue
@@ -133,7 +133,7 @@ def trace(
                 cost[j] = nx * G[0, j] + ny * G[1, j]
             programs += 1
             if programs % 32 == 0:
-                rank = factorise(rows, tableau, basis, basic, True)
+                rank = factorise(rows, tableau, basis, basic, YES)
             status, height, rank = maximise(
                 rows, tableau, rank, basis, basic, cost, limit,
                 x, d, values, y, best, ray, point, kinks, queue, trial,

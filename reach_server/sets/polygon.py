@@ -6,7 +6,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from reach_server.numeric.jit import kernel, reduction_kernel, stacked
+from reach_server.numeric.jit import ONE, ZERO, kernel, reduction_kernel, stacked
 from reach_server.numeric.types import FloatArray
 from reach_server.sets.kernels.planar import clip_one, pair_area, polygon_of
 
@@ -24,7 +24,7 @@ def zonotope_area(generators: FloatArray) -> FloatArray:
 def _area_rows(generators: FloatArray) -> FloatArray:
     area = np.zeros(len(generators))
     for p in range(len(generators)):
-        area[p] = pair_area(generators[p], 0, 1, generators.shape[2])
+        area[p] = pair_area(generators[p], ZERO, ONE, generators.shape[2])
     return area
 
 
@@ -40,7 +40,7 @@ def _polygon_rows(generators: FloatArray) -> FloatArray:
     count, _, g = generators.shape
     vertices, edges = np.zeros((count, max(2 * g, 1), 2)), np.zeros((3, g))
     for p in range(count):
-        polygon_of(generators[p], 0, 1, g, vertices[p], edges)
+        polygon_of(generators[p], ZERO, ONE, g, vertices[p], edges)
     return vertices
 
 

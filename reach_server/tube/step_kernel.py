@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.models.set_membership import Fitted, HullWorkspace, hull_workspace, residual_one
-from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.jit import ZERO, kernel, leaf_kernel
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
 from reach_server.sets.kernels.order_reduction import reduce_one
@@ -290,7 +290,7 @@ def advance_many(
     for number in range(len(centers)):
         center, after = new_centers[number], new_generators[number]
         center[:] = centers[number]
-        used = 0
+        used = ZERO
         for k in range(columns):
             some = False
             for row in range(rows):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.models.set_membership import Fitted
-from reach_server.numeric.jit import kernel, leaf_kernel
+from reach_server.numeric.jit import ZERO, kernel, leaf_kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 from reach_server.predicates.cut_kinds import CutMethod
 from reach_server.sets.kernels.planar import figures_one
@@ -123,7 +123,7 @@ def _tube(
     n, z, count = initial.start.shape[1], len(workspace.own.center), len(strips.lower)
     own, cut, on = workspace.own, workspace.cut, workspace.on
     k, cutting, split = 0, True, False
-    own_used = own_live = cut_used = cut_live = 0
+    own_used = own_live = cut_used = cut_live = ZERO
     while k < strips.asked.shape[1]:
         if k == 0:
             own_used = _begin(initial, v, own)

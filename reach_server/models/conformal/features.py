@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach_server.models.conformal.spec import FeatureSpec, Samples
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import ONE, ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
 Runs = NDArray[np.int32]
@@ -47,7 +47,7 @@ def present(t: IntArray, x: FloatArray, u: FloatArray, number: int, spec: Featur
     size = len(t)
     here = number % size
     out[0] = 1.0
-    column = 1
+    column = ONE
     for i in range(spec.n):
         if spec.free >> i & 1:
             if spec.angles >> i & 1:
@@ -129,7 +129,7 @@ def step_sizes(
     index, before = number % len(t), (number - 1) % len(t)
     if number < 1 or samples.run[slot, index] < 1 or gated[index] or gated[before]:
         return
-    increment(t, x, before, spec, change, 0)
+    increment(t, x, before, spec, change, ZERO)
     if spec.heading >= 0:
         change[spec.first] = change[spec.second] = math.hypot(change[spec.first], change[spec.second])
     for i in range(spec.n):
@@ -179,7 +179,7 @@ def size_regressors(phi: FloatArray, h: int, spec: FeatureSpec, out: FloatArray)
     last change per second of each state of the model, and how much the increments of each state vary over the lags.
     """
     out[0] = 1.0
-    column = 1
+    column = ONE
     if spec.speed >= 0:
         out[1] = abs(_speed(phi, spec))
         column = 2
@@ -203,7 +203,7 @@ def size_regressors(phi: FloatArray, h: int, spec: FeatureSpec, out: FloatArray)
 
 @kernel
 def _speed(phi: FloatArray, spec: FeatureSpec) -> float:
-    column = 1
+    column = ONE
     for i in range(spec.speed):
         if spec.free >> i & 1:
             column += 1 + (spec.angles >> i & 1)

@@ -21,7 +21,7 @@ from reach_server.models.conformal.scale import LEAST_SIZE
 from reach_server.models.conformal.score import encoded, renew_margins, score_of, tube_score, write
 from reach_server.models.conformal.spec import FeatureSpec, Samples
 from reach_server.models.conformal.state import Model, PendingPredictions, ScoreHistory
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import ONE, ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
 #: An error this many times beyond its box, followed by a miss the opposite way, comes from the sample between them.
@@ -266,7 +266,7 @@ def _update_scores(
     steps = 0 if gated[index] else min(spec.horizon, samples.run[slot, index])
     for h in range(steps):
         row = (number - h - 1) % spec.horizon
-        if made[row] != number - h - 1 or not clean(gated, number - h - 1, 0, spec):
+        if made[row] != number - h - 1 or not clean(gated, number - h - 1, ZERO, spec):
             continue
         center, size = pending.center[slot, row], pending.size[slot, row]
         error_in_frame(x, index, center, h, math.cos(angle[row]), math.sin(angle[row]), spec, error)
@@ -298,10 +298,10 @@ def _reveals_glitch(
     x, gated = samples.x[slot], samples.gated[slot]
     index, row = number % len(x), (number - 1) % spec.horizon
     made = pending.number[slot, row] == number - 1 and samples.run[slot, index] > 0
-    if not made or not clean(gated, number - 1, 1, spec):
+    if not made or not clean(gated, number - 1, ONE, spec):
         return False
     angle, last, far = pending.angle[slot, row], pending.last[slot], 0
-    error_in_frame(x, index, pending.center[slot, row], 0, math.cos(angle), math.sin(angle), spec, error)
+    error_in_frame(x, index, pending.center[slot, row], ZERO, math.cos(angle), math.sin(angle), spec, error)
     for i in range(spec.n):
         if abs(last[i]) > abs(last[far]):
             far = i

@@ -29,7 +29,7 @@ from reach_server.models.conformal.score import (
 )
 from reach_server.models.conformal.spec import FeatureSpec, Samples
 from reach_server.models.conformal.state import ScoreHistory
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
 #: Least part of the mean error that the constant term explains.
@@ -140,7 +140,7 @@ def _origins(samples: Samples, count: int, slot: int, spec: FeatureSpec, origin:
     run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
     found = 0
     for number in range(max(0, count - len(t) + spec.reach), count - 1):
-        if complete(run, known, number, spec) and clean(gated, number, 0, spec):
+        if complete(run, known, number, spec) and clean(gated, number, ZERO, spec):
             recorded(t, x, u, number, spec, phi[found])
             origin[found] = number
             found += 1
@@ -182,7 +182,7 @@ def _fit_step(
         end = min((fold + 1) * rows // FOLDS, rows)
         gram[:] = 0.0
         right[:] = 0.0
-        _add(psi, magnitude, 0, begin, gram, right)
+        _add(psi, magnitude, ZERO, begin, gram, right)
         _add(psi, magnitude, end, rows, gram, right)
         _shape(psi, magnitude, begin, end, gram, right, least, plane, confidence, shape)
         for k in range(begin, end):
@@ -240,7 +240,7 @@ def _shape(
                 size += solution[q] * psi[k, q]
             ratio[j, 0] = magnitude[k, i] / math.sqrt(mean * size)
         missing = (1.0 - confidence) * (1.0 if plane[i] else OTHERS_MISS)
-        balance = max(_quantile(ratio, 0, 1.0 - missing), LEAST_BALANCE)
+        balance = max(_quantile(ratio, ZERO, 1.0 - missing), LEAST_BALANCE)
         for q in range(sizes):
             shape[q, i] = balance**2 * mean * solution[q]
 

@@ -16,7 +16,7 @@ The basis and its factors are in ``tableau``, what its ends prove in ``certifica
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import NO, YES, kernel
 from reach_server.numeric.rounding import EPS
 from reach_server.numeric.types import FloatArray, IntArray
 from reach_server.sets.kernels.certificates import attained, bound_of, dependent_rows_fail, farkas, multipliers
@@ -180,7 +180,7 @@ def maximise(
     status = UNFINISHED
     for attempt in range(4):
         if attempt > 0:
-            rank = factorise(rows, tableau, basis, basic, True)
+            rank = factorise(rows, tableau, basis, basic, YES)
         if attempt == 2:
             # Costs that no two columns share: ties, and with them cycles, vanish.
             shake = 0.5
@@ -244,7 +244,7 @@ def supports(
         load(
             matrix[p if matrix.shape[0] > 1 else 0], offset[p if offset.shape[0] > 1 else 0], rows, scale, tableau
         )  # fmt: skip
-        rank = factorise(rows, tableau, basis, basic, False)
+        rank = factorise(rows, tableau, basis, basic, NO)
         empty = dependent_rows_fail(rows, tableau, rank, ray)
         for k in range(ways):
             linear, lost = 0.0, 0.0
@@ -258,7 +258,7 @@ def supports(
                     lost += abs(D[k, i] * G[i, j])
                 cost[j] = total
             if k % 64 == 63:
-                rank = factorise(rows, tableau, basis, basic, True)
+                rank = factorise(rows, tableau, basis, basic, YES)
             if empty:
                 for j in range(g):
                     bounds[p, k] += abs(cost[j])

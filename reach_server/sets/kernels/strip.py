@@ -15,6 +15,8 @@ as ``det((I - λH) g_i, (I - λH) g_j) = det(I - λH) det(g_i, g_j)`` and ``det(
 candidate costs one pass over the columns.
 """
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,7 @@ FLAT = 1e-12
 TINY = float(np.finfo(np.float64).tiny)
 #: Rows of ``work``: heights, marks, λ tried and taken, a moved plane.
 WORK = 6
-_HEIGHTS, _MARKS, _TRIED, _TAKEN, _FIRST, _SECOND = range(WORK)
+_HEIGHTS, _MARKS, _TRIED, _TAKEN, _FIRST, _SECOND = (cast(int, row) for row in np.arange(WORK))
 
 
 @inline_reduction

@@ -5,7 +5,7 @@ Rows are divided by a power of two near their greatest entry, which rounds nothi
 
 import math
 
-from reach_server.numeric.jit import kernel
+from reach_server.numeric.jit import ZERO, kernel
 from reach_server.numeric.types import FloatArray, IntArray
 
 #: A row is taken to depend on the others where elimination leaves no entry above this (rows have size 1).
@@ -69,9 +69,9 @@ def factorise(rows: FloatArray, tableau: FloatArray, basis: IntArray, basic: Int
     m, g = rows.shape[0], rows.shape[1] - 1
     width = tableau.shape[1]
     refill(rows, tableau)
-    rank = 0
+    rank = ZERO
     while rank < m:
-        best, row, column = 0.0, -1, -1
+        best, row, column = 0.0, rank, rank
         for i in range(rank, m):
             for j in range(g):
                 if abs(tableau[i, j]) > best and (not keep or basic[j] == 1):
