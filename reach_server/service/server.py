@@ -74,7 +74,7 @@ class ReachServer:
         self._control: deque[Received | tuple[str, bool]] = deque()
         self._open = ExitStack()
         self._started = clock.time_ns()
-        self._tally = Tally()
+        self._tally = Tally(round_ns=self._started)
         #: Classes when ``_settle`` last did something.
         self._settled = 0
         self._presence = Presence()

@@ -28,7 +28,7 @@ class Tally:
     alone, and until all was published.
 
     ``by_label`` and ``by_kind`` divide tubes and events; they have all their keys from the beginning, so that another
-    thread may look through them. ``round_ns`` is when the newest round was over (Unix ns).
+    thread may look through them. ``round_ns`` is when the newest round was over (Unix ns), or the start.
     """
 
     stored: int = 0
