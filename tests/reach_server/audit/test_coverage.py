@@ -115,7 +115,7 @@ def judge(record: CoverageRecord, k: int, x: float, *, jumped: bool) -> tuple[li
         np.array([[x]]), np.zeros((1, 0)),
     )  # fmt: skip
     found = record.check(batch, 1.0, NONE, (), np.array([jumped]))
-    for miss in found.misses if record._judges_bounds else ():
+    for miss in found.misses if record.alpha == 0.0 else ():
         record.refute(miss.slot)
     return found.misses, found.restored.tolist()
 
