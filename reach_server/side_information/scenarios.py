@@ -229,8 +229,8 @@ class Assignments:
                     for kind in (HOLDS, FAILS)
                 )  # fmt: skip
                 settled = self.table.belief([TRUE])
-                for place, row in enumerate(rows.tolist()):
-                    found[row][f"{name}.{requirement}"] = verdict(holds[place], fails[place], settled, DEAD)
+                for index, row in enumerate(rows.tolist()):
+                    found[row][f"{name}.{requirement}"] = verdict(holds[index], fails[index], settled, DEAD)
         return tuple(found)
 
     def contradict(
