@@ -84,7 +84,7 @@ class Assignments:
                 made = self.literals.add(
                     predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
                 )
-                tracker.pursuits[formula].literals.add(made)
+                tracker.formula_states[formula].literals.add(made)
                 return made
 
             return self.table.add(normals[formula], grid, literal, lead=lead)
@@ -180,7 +180,7 @@ class Assignments:
         for column, tracker in enumerate(self._trackers.values()):
             tracker.grow(int(slots.max(initial=-1)) + 1)
             acts = self._speaks(tracker, slots) & ~tracker.contradicted[slots] & tracker.started(slots)
-            beliefs[acts, column] = tracker.pursuits[ASSUME].before[slots[acts]]
+            beliefs[acts, column] = tracker.formula_states[ASSUME].before[slots[acts]]
             tested &= ~acts | tracker.tested[slots]
         if not self._trackers:
             return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.int64), tested
