@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -139,16 +139,28 @@ def test_past_of_a_late_publisher_that_goes_on_is_in_its_cache_only(
     assert past[: 100 + begin + 1] == list(range(-100, begin + 1))
 
 
+@contextmanager
+def outage(
+    received: list[Received], cache: int, heartbeat: float = 1.0
+) -> Iterator[tuple[tuple[str, ...], zenoh.Session, CachedPublisher]]:
+    """A publisher and a recovering subscriber whose router has gone once the first number had ``received``: where the
+    router was, the publisher's session, and the publisher."""
+    with ExitStack() as opened:
+        with Router(["tcp/127.0.0.1:0"]) as first:
+            endpoints = first.endpoints
+            service = opened.enter_context(open_session(Role.SERVICE, endpoints))
+            agent = opened.enter_context(open_session(Role.AGENT, endpoints))
+            opened.enter_context(declare_recovering_subscriber(service, ALL_STATES, received.append, history=10))
+            publisher = opened.enter_context(
+                declare_cached_publisher(agent, STATE, ENCODING, cache=cache, heartbeat=heartbeat)
+            )
+            wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
+        yield endpoints, agent, publisher
+
+
 def test_a_gap_of_a_router_outage_is_filled_in_order_once() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=1000)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher, publishing(publisher) as put:
+    with outage(received, cache=1000) as (endpoints, _, publisher), publishing(publisher) as put:
         wait_until(lambda: len(put) > 100)
         gap = len(put)
         with Router(endpoints):
@@ -159,14 +171,7 @@ def test_a_gap_of_a_router_outage_is_filled_in_order_once() -> None:
 
 def test_what_was_put_last_before_falling_silent_in_an_outage_arrives() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=100, heartbeat=0.2)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher:
+    with outage(received, cache=100, heartbeat=0.2) as (endpoints, agent, publisher):
         wait_until(lambda: not list(agent.info.routers_zid()))
         put_numbers(publisher, range(30))
         never = threading.Event()
@@ -178,14 +183,7 @@ def test_what_was_put_last_before_falling_silent_in_an_outage_arrives() -> None:
 
 def test_a_gap_longer_than_the_cache_begins_again_where_the_cache_does() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=40, heartbeat=0.2)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher:
+    with outage(received, cache=40, heartbeat=0.2) as (endpoints, agent, publisher):
         wait_until(lambda: not list(agent.info.routers_zid()))
         put_numbers(publisher, range(100))
         with Router(endpoints):
