@@ -162,3 +162,15 @@ def test_jumps_count_among_the_newest_checks() -> None:
     record.jumped(0)
     record.reset(0)
     assert not any(record.jumped(0) for _ in range(FORGIVEN))
+
+
+def test_what_was_counted_of_all_vehicles_never_falls() -> None:
+    record = CoverageRecord(0.0)
+    record.grow(1)
+    for k, x in enumerate((0.0, 3.0, 0.5)):
+        judge(record, k, x, jumped=False)
+    assert (record.checked_so_far, record.inside_so_far) == (3, 2)
+    record.reset(0)
+    assert record.audit(0).checked == 0
+    judge(record, 3, 0.0, jumped=False)
+    assert (record.checked_so_far, record.inside_so_far) == (4, 3)
