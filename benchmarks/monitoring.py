@@ -149,21 +149,21 @@ def follow(task: Task, vehicles: NDArray[np.intp]) -> tuple[FloatArray, NDArray[
         return lambda grid, lead: table.add(formula, grid, lambda predicate, margin: predicate, lead=lead)
 
     step_ns = task.drives.step_ns
-    course = ScenarioTracker(
+    tracker = ScenarioTracker(
         task.drives.scenario, table, step_ns, 0, {name: root(formula) for name, formula in formulas.items()}
     )
     slots = np.arange(len(vehicles))
     for slot in slots.tolist():
-        course.assign(slot, step_ns, 0)
+        tracker.assign(slot, step_ns, 0)
     status = np.where(task.true[vehicles], 1, -1).astype(np.int8)
     seconds = np.zeros(status.shape[1])
     for k in range(len(seconds)):
         t = np.full(len(slots), (k + 1) * step_ns)
         now = status[:, k]
         began = time.perf_counter()
-        course.observe(slots, t, lambda literals, rows, now=now: now[rows][:, literals])  # type: ignore[misc]
+        tracker.observe(slots, t, lambda literals, rows, now=now: now[rows][:, literals])  # type: ignore[misc]
         seconds[k] = time.perf_counter() - began
-    last = course.pursuits[ASSUME].after[slots]
+    last = tracker.formula_states[ASSUME].after[slots]
     return seconds, np.where(last == DEAD, -1, np.where(last == table.belief([TRUE]), 1, 0))
 
 

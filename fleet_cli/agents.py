@@ -12,6 +12,7 @@ from fleet_bus.errors import FleetError, UsageError
 from fleet_bus.messages import VehicleProfile
 from fleet_bus.sessions import why_not_connected
 from fleet_cli import logs
+from fleet_cli.commands.shared import prometheus_endpoint
 from vehicle_agent.agent import Agent, Report, run
 from vehicle_agent.filters import Filter, PassThrough, filter_for
 from vehicle_agent.recording import load_recording
@@ -55,12 +56,15 @@ def work(
     speed: float = 1.0,
     duration: float | None = None,
     linger: float = 0.0,
+    metrics: str | None = None,
 ) -> dict[str, Report]:
-    """Run agents on one session until stopped, their sources end or ``duration`` seconds have passed."""
+    """Run agents on one session until stopped, their sources end or ``duration`` seconds have passed; answer
+    Prometheus at the address ``metrics`` until then."""
     timer = threading.Timer(duration, stop.set) if duration is not None else None
     with ExitStack() as opened:
         session = opened.enter_context(open_session(Role.AGENT, routers, stop=stop))
         agents = [opened.enter_context(Agent(session, *plan)) for plan in plans]
+        opened.enter_context(prometheus_endpoint(metrics, "agent", "", "vehicle_agent.metrics", agents))
         logs.say(f"agents ready: {', '.join(agent.vehicle for agent in agents)}")
         threading.Thread(target=_tell_if_alone, args=(session, routers, stop), daemon=True).start()
         if timer is not None:

@@ -63,9 +63,9 @@ def print_evaluation(figures: Mapping[str, MethodFigures], profile: VehicleProfi
     for column in ("inside", "worst run", "mean", "median", f"at {share}", *(["ratio"] if len(figures) > 1 else [])):
         table.add_column(column, justify="right", no_wrap=True)
     for row in zip(*(method.steps for method in figures.values()), strict=True):
-        for place, (name, step) in enumerate(zip(figures, row, strict=True)):
+        for index, (name, step) in enumerate(zip(figures, row, strict=True)):
             ratio = [_ratio(step, row[0])] if len(figures) > 1 else []
-            table.add_row(str(step.step) if place == 0 else "", name, *_step_cells(step), *ratio)
+            table.add_row(str(step.step) if index == 0 else "", name, *_step_cells(step), *ratio)
     console = Console()
     console.print(table)
     for line in evaluation_lines(figures):

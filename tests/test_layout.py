@@ -37,6 +37,10 @@ def loaded_by(statement: str) -> set[str]:
         ("import fleet_bus.errors", {"zenoh", "pydantic"}),
         ("from reach_server import Engine", {"zenoh"}),
         ("import vehicle_agent.agent", {"casadi", "matplotlib", "numba"}),
+        # Who is not asked for metrics loads nothing for them, and who is loads no server beside.
+        ("import fleet_cli.main, fleet_cli.agents, side_info.service.service", {"prometheus_client"}),
+        ("import reach_server.service.server", {"prometheus_client"}),
+        ("import vehicle_agent.metrics", {"casadi", "matplotlib", "numba", "starlette", "uvicorn", "nicegui"}),
         ("import side_info", {"zenoh"}),
     ],
 )

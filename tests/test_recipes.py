@@ -37,7 +37,7 @@ ARCHITECTURE = ROOT / "docs" / "concepts" / "architecture.md"
 #: What a path may begin with or be, as git tracks it; what a step of the recipes makes is none.
 TOP = {path.name for path in ROOT.iterdir()}
 #: Recipes that touch at most three files of the product.
-SHORT = ("a method", "a way to cut", "a predicate function", "a message field")
+SHORT = ("a method", "a way to cut", "a predicate function", "a message field", "a metric")
 
 
 def paths(text: str) -> set[str]:

@@ -221,13 +221,13 @@ class Row(Kind):
     def check(self, key: str, value: Any) -> None:
         """See ``Kind``."""
         parts = self.parts(value)
-        for place, span in self._numbers:
-            if parts[place] not in span:
-                self.items[place].check(f"{key}[{place}]", parts[place])
+        for index, span in self._numbers:
+            if parts[index] not in span:
+                self.items[index].check(f"{key}[{index}]", parts[index])
 
     @cached_property
     def _numbers(self) -> tuple[tuple[int, Range], ...]:
-        return tuple((place, item.spans[""]) for place, item in enumerate(self.items) if item.spans)
+        return tuple((index, item.spans[""]) for index, item in enumerate(self.items) if item.spans)
 
     def json(self) -> dict[str, Any]:
         """See ``Kind``."""
@@ -238,10 +238,10 @@ class Row(Kind):
     def spans(self) -> Mapping[str, Range]:
         """See ``Kind``."""
         found: dict[str, Range] = {}
-        for place, item in enumerate(self.items):
+        for index, item in enumerate(self.items):
             for span in item.spans.values():
                 if found.setdefault("", span) != span:
-                    found[f"[{place}]"] = span
+                    found[f"[{index}]"] = span
         return found
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import UsageError
-from fleet_cli.commands.shared import DEFAULT_ROUTERS, Routers, stop_on_signals
+from fleet_cli.commands.shared import DEFAULT_ROUTERS, Metrics, Routers, stop_on_signals
 
 
 def agent(
@@ -20,6 +20,7 @@ def agent(
     speed: Annotated[float, typer.Option(help="How many times faster than real time.")] = 1.0,
     duration: Annotated[float | None, typer.Option(help="Stop after this many seconds.")] = None,
     router: Routers = DEFAULT_ROUTERS,
+    metrics: Metrics = None,
 ) -> None:
     """Run vehicle agents until interrupted, or until their recording ends."""
     from fleet_cli.agents import recorded, simulated, work
@@ -35,4 +36,4 @@ def agent(
         agents = [recorded(vehicle[0], chosen, recording)]
     else:
         raise UsageError(f"--source {source!r} is unknown: choose sim or recording")
-    work(agents, router, stop, speed=speed, duration=duration)
+    work(agents, router, stop, speed=speed, duration=duration, metrics=metrics)

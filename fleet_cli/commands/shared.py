@@ -3,12 +3,24 @@
 import _thread
 import signal
 import threading
-from typing import Annotated
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
 
 from fleet_bus.sessions import DEFAULT_ROUTER
+from fleet_cli import logs
 
+Metrics = Annotated[
+    str | None,
+    typer.Option(
+        "--metrics", metavar="[HOST:]PORT",
+        help="Answer Prometheus here, on this machine alone unless a host is named; 0 takes a free port.",
+    ),
+]  # fmt: skip
 Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
 DEFAULT_ROUTERS = [DEFAULT_ROUTER]
 
@@ -25,3 +37,21 @@ def stop_on_signals() -> threading.Event:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, tell)
     return stop
+
+
+@contextmanager
+def prometheus_endpoint(address: str | None, kind: str, instance: str, module: str, source: Any) -> Iterator[None]:
+    """Answer Prometheus until the end of the block, and say where; without an address nothing is loaded for it.
+
+    What is answered is what ``metrics`` of ``module`` makes of ``source``. Raises ``UsageError`` for an address that is
+    none, ``SessionError`` for one at which nothing can listen.
+    """
+    if address is None:
+        yield
+        return
+    from fleet_bus import metrics
+
+    read = partial(import_module(module).metrics, source)
+    with metrics.serve(metrics.registry(kind, instance, read), address) as url:
+        logs.say(f"metrics on {url}")
+        yield

@@ -6,7 +6,7 @@ import typer
 
 from fleet_bus.errors import UsageError
 from fleet_cli import logs
-from fleet_cli.commands.shared import DEFAULT_ROUTERS, Routers, stop_on_signals
+from fleet_cli.commands.shared import DEFAULT_ROUTERS, Metrics, Routers, prometheus_endpoint, stop_on_signals
 
 
 def side_info(
@@ -17,6 +17,7 @@ def side_info(
     id: Annotated[str, typer.Option(help="Id of this service.")] = "side-info-1",
     clock_offset: Annotated[float, typer.Option(help="Bound on the difference of clocks, s.", min=0, max=3600)] = 0.0,
     router: Routers = DEFAULT_ROUTERS,
+    metrics: Metrics = None,
 ) -> None:
     """Publish scenarios and assign vehicles to them. Without --assign every vehicle gets the first scenario.
 
@@ -37,8 +38,9 @@ def side_info(
         logs.warn("no scenario is named, so none is published")
     with open_session(Role.SERVICE, router, stop=stop) as session:
         service = SideInfoService(session, loaded, pairs, id, files=files, clock_offset=clock_offset)
-        logs.say(f"side-info publishes {', '.join(s.name for s in loaded) or 'no scenario'}")
-        service.run(stop)
+        with prometheus_endpoint(metrics, "side-info", id, "side_info.service.metrics", lambda: service.newest_status):
+            logs.say(f"side-info publishes {', '.join(s.name for s in loaded) or 'no scenario'}")
+            service.run(stop)
 
 
 def _pairs(texts: list[str]) -> dict[str, str]:

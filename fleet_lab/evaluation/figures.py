@@ -178,17 +178,17 @@ def rolling(check: Checks) -> Rolling:
     held = np.concatenate([counted[:1], np.cumsum(check.inside & check.checked, axis=0)])
     steps = [step for step in ROLLING_STEPS if step <= check.checked.shape[1]]
     enough = np.asarray((counted[1:, [step - 1 for step in steps]] >= ROLLING_LEAST).all(axis=1), dtype=bool)
-    places = [k for k in range(ROLLING_EVERY - 1, len(enough), ROLLING_EVERY) if enough[k]]
+    indices = [k for k in range(ROLLING_EVERY - 1, len(enough), ROLLING_EVERY) if enough[k]]
     shares: dict[int, tuple[float, ...]] = {}
     for step in steps:
         total, inside = counted[:, step - 1], held[:, step - 1]
         # The newest ROLLING checks may reach back over samples that were not checked.
-        first = [int(np.searchsorted(total, total[k + 1] - ROLLING, side="right")) - 1 for k in places]
+        first = [int(np.searchsorted(total, total[k + 1] - ROLLING, side="right")) - 1 for k in indices]
         shares[step] = tuple(
             float((inside[k + 1] - inside[f]) / (total[k + 1] - total[f]))
-            for k, f in zip(places, (max(f, 0) for f in first), strict=True)
+            for k, f in zip(indices, (max(f, 0) for f in first), strict=True)
         )
-    return Rolling(check.recording, tuple(int(check.sample[k]) for k in places), shares)
+    return Rolling(check.recording, tuple(int(check.sample[k]) for k in indices), shares)
 
 
 def _step(checks: Sequence[Checks], runs: Sequence[RunFigures], h: int, confidence: float) -> StepFigures:

@@ -69,7 +69,7 @@ def _all_transitions(samples: Sequence[StateSample], profile: VehicleProfile, la
 
 def _thinned(data: Transitions) -> Transitions:
     """At most ``MOST_TRANSITIONS`` of the usable transitions, evenly chosen."""
-    places = np.flatnonzero(data.usable[0])
-    if len(places) > MOST_TRANSITIONS:
-        places = places[np.linspace(0, len(places) - 1, MOST_TRANSITIONS).round().astype(np.intp)]
-    return Transitions(data.z[:, places], data.target[:, places], data.usable[:, places], data.newest)
+    indices = np.flatnonzero(data.usable[0])
+    if len(indices) > MOST_TRANSITIONS:
+        indices = indices[np.linspace(0, len(indices) - 1, MOST_TRANSITIONS).round().astype(np.intp)]
+    return Transitions(data.z[:, indices], data.target[:, indices], data.usable[:, indices], data.newest)

@@ -201,8 +201,8 @@ def _with_inputs(now: FloatArray, inputs: FloatArray, profile: VehicleProfile) -
     columns = [now, inputs.reshape(len(now), -1)]
     if profile.roles.speed is not None:
         layout = RegressorSpec.of(profile)
-        place = layout.free.index(profile.state_names.index(profile.roles.speed))
-        speed = now[:, [place]]
+        index = layout.free.index(profile.state_names.index(profile.roles.speed))
+        speed = now[:, [index]]
         columns.append(speed * now)
         if profile.roles.steering is not None:
             columns.append(speed * inputs[:, :, profile.input_names.index(profile.roles.steering)])

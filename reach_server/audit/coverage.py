@@ -61,6 +61,9 @@ class CoverageRecord:
 
     def __init__(self, alpha: float = 0.01, span: int = RECENT) -> None:
         self.predictions = Predictions()
+        self.alpha = alpha
+        #: Predictions that were checked, of all vehicles, those forgotten since among them; and how many of them held.
+        self.checked_so_far = self.inside_so_far = 0
         self._judges_bounds = alpha == 0.0
         self._span = span
         self._leaves, self._returns = bands(alpha)
@@ -145,6 +148,8 @@ class CoverageRecord:
         self._missed[slots, index] = missed
         self._checked[slots] += 1
         self._inside[slots] += found.inside
+        self.checked_so_far += len(slots)
+        self.inside_so_far += int(found.inside.sum())
         left, returned = self._judge(slots)
         # What only side information excludes says nothing against the bounds.
         self._held[slots] = np.where(found.inside_free, self._held[slots] + 1, 0)

@@ -1,5 +1,6 @@
 """The vehicles of one class: their slots, samples, scenarios and audit, and a step for a batch of them. No clock."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from reach_server.data.events import EngineEvent
 from reach_server.data.readiness import too_few
 from reach_server.data.window import AppendReport, Block, SampleBatch, Window
 from reach_server.engine import notices
-from reach_server.engine.results import Tubes
+from reach_server.engine.results import Checks, Tubes
 from reach_server.engine.tube_builder import TubeBuilder
 from reach_server.methods import method_of
 from reach_server.methods.request import PlannedInputs, TubeRequest
@@ -24,6 +25,10 @@ from reach_server.side_information.scenarios import Assignments
 from side_info import Scenario
 
 __all__ = ["Engine", "PlannedInputs"]
+
+
+def unheeded(stage: str) -> None:
+    """Nobody times the stages."""
 
 
 class Engine:
@@ -164,6 +169,12 @@ class Engine:
         never added."""
         return self._record.audit(self._slots[vehicle])
 
+    @property
+    def checks(self) -> Checks:
+        """One-step predictions checked since the class was made, of vehicles that have left it, too."""
+        record = self._record
+        return Checks(record.checked_so_far, record.inside_so_far, record.alpha * record.checked_so_far)
+
     def window_filled(self) -> NDArray[np.int64]:
         """Samples held (V,) of the vehicles, by slot."""
         return self.window.filled(np.array(sorted(self._slots.values()), dtype=np.intp))
@@ -195,12 +206,19 @@ class Engine:
         tubes = self.predict(np.unique(batch.vehicle), known)
         return replace(tubes, events=events + tubes.events)
 
-    def predict(self, slots: IndexArray, known: PlannedInputs | None = None) -> Tubes:
-        """Tubes from the newest samples of the vehicles in ``slots`` (B,), ascending; ``known`` has one row per
-        slot."""
+    def predict(
+        self, slots: IndexArray, known: PlannedInputs | None = None, passed: Callable[[str], object] = unheeded
+    ) -> Tubes:
+        """Tubes from the newest samples of the vehicles in ``slots`` (B,), ascending; ``known`` has one row per slot.
+
+        ``passed`` is told when a stage is over, so that who has a clock can time it: ``side_information``, ``learn``,
+        ``sets``.
+        """
         events = self._receive(slots)
+        passed("side_information")
         if not self.frozen:
             self._method.learn(slots)
+        passed("learn")
         events += [
             EngineEvent(EventKind.GLITCH, self._names[slot], t, f"a measurement of {self._names[slot]} was a glitch")
             for slot, t in self._method.glitches()
@@ -211,6 +229,7 @@ class Engine:
             parts.append(self._builder.tubes(served, events, waiting))
         if len(limited.slots):
             parts.append(self._builder.tubes_from_limits(limited, waiting))
+        passed("sets")
         found = [part for part in parts if part.vehicles]
         if not found:
             return replace(self._builder.no_tubes(waiting), events=tuple(events))

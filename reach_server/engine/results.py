@@ -13,6 +13,26 @@ from reach_server.numeric.types import FloatArray, IntArray
 from reach_server.sets.raw import RawSets, join_sets
 
 
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """One-step predictions of a class that were ``checked``, how many were ``inside`` of their sets, and the greatest
+    number of misses that the claim of the class lets expect; all of them only grow."""
+
+    checked: int = 0
+    inside: int = 0
+    expected_misses: float = 0.0
+
+    def __add__(self, other: "Checks") -> "Checks":
+        return Checks(
+            self.checked + other.checked, self.inside + other.inside, self.expected_misses + other.expected_misses
+        )
+
+    def __sub__(self, other: "Checks") -> "Checks":
+        return Checks(
+            self.checked - other.checked, self.inside - other.inside, self.expected_misses - other.expected_misses
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tubes:
     """Tubes of B vehicles, each over N steps: what ``labels`` says of a vehicle is claimed of its sets.

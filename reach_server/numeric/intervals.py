@@ -82,8 +82,8 @@ class Interval:
         """``upper - lower`` (...,): outer, rounded up; -inf where empty."""
         return add_up(self.upper, -self.lower)
 
-    def __getitem__(self, place: Any) -> "Interval":
-        return Interval(self.lower[place], self.upper[place])
+    def __getitem__(self, index: Any) -> "Interval":
+        return Interval(self.lower[index], self.upper[index])
 
     def __neg__(self) -> "Interval":
         return Interval(-self.upper, -self.lower)

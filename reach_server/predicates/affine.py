@@ -26,7 +26,7 @@ from side_info.stl.expression import Expression, Name, Negation, Product, Sum, n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AffineEnclosure(NonlinearEnclosure):
-    """The predicate that a ``field`` that is affine in the states, and defined everywhere, is not negative."""
+    """The predicate that a ``function`` that is affine in the states, and defined everywhere, is not negative."""
 
     def verdict(self, center: FloatArray, generators: FloatArray, context: Context) -> Verdict:
         """See ``PredicateEnclosure``: by bounds of h over the set."""
@@ -37,7 +37,7 @@ class AffineEnclosure(NonlinearEnclosure):
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
         """See ``PredicateEnclosure``: normal (R, 1, n), a half-space from below."""
-        coordinates = list(self.field.coordinates)
+        coordinates = list(self.function.coordinates)
         with np.errstate(all="ignore"):
             above = self._above(center, generators, context, self.uncertainty, 1.0)
             height = (above.normal * center[:, coordinates]).sum(axis=1)
@@ -58,7 +58,7 @@ class AffineEnclosure(NonlinearEnclosure):
         sign: float,
     ) -> Above:
         """A linear upper bound of ``sign`` h on the true states of the sets."""
-        coordinates = list(self.field.coordinates)
+        coordinates = list(self.function.coordinates)
         middle_of, columns = center[:, coordinates], generators[:, coordinates]
         if uncertainty is not None:
             more = uncertainty.generators[coordinates]
@@ -90,11 +90,11 @@ class AffineEnclosure(NonlinearEnclosure):
         return point[context.index], enclosure[context.index]
 
     def _evaluated(self, context: Context, rows: int, margin: float | None) -> tuple[FloatArray, TaylorEnclosure]:
-        coordinates = list(self.field.coordinates)
+        coordinates = list(self.function.coordinates)
         point = context.last_lower[:, coordinates] / 2 + context.last_upper[:, coordinates] / 2
         point = np.where(np.isfinite(point), point, 0.0)
-        given = self.field.given(context, rows, margin)
-        return point, self.field.enclosure(point, point, given, curved=False)
+        given = self.function.given(context, rows, margin)
+        return point, self.function.enclosure(point, point, given, curved=False)
 
 
 def _rounding(states: int, columns: int) -> float:

@@ -39,7 +39,7 @@ def directions(dimension: int) -> FloatArray:
 
 
 def tangents(
-    field: PredicateFunction,
+    function: PredicateFunction,
     points: FloatArray,
     given: Bounds,
     center: FloatArray,
@@ -54,7 +54,7 @@ def tangents(
     rows, count, s = points.shape
     repeated = np.repeat(given[0], count, axis=1), np.repeat(given[1], count, axis=1)
     flat = points.reshape(-1, s)
-    enclosure = field.enclosure(flat, flat, repeated, curved=False)
+    enclosure = function.enclosure(flat, flat, repeated, curved=False)
     value = enclosure.value[1].reshape(rows, count)
     normal, uncertain = (part.reshape(rows, count, s) for part in middle(enclosure.gradient))
     # From the point to any x of the box.
@@ -65,7 +65,7 @@ def tangents(
     return normal, np.where(np.isfinite(bound), bound, -np.inf)
 
 
-def border(field: PredicateFunction, expansion: Expansion, given: Bounds) -> FloatArray:
+def border(function: PredicateFunction, expansion: Expansion, given: Bounds) -> FloatArray:
     """Points (R, K, s) of the boxes near ``h = 0``, as far apart as their directions allow."""
     value, _ = middle(expansion.point.value)
     gradient, _ = middle(expansion.point.gradient)
@@ -77,7 +77,7 @@ def border(field: PredicateFunction, expansion: Expansion, given: Bounds) -> Flo
     first = _reached(inside, rays, half, height, slope, hessian)
     if not bend.any():
         return np.clip(expansion.center[:, None] + first, expansion.lower[:, None], expansion.upper[:, None])
-    return _refined(field, expansion, given, inside, rays, first)
+    return _refined(function, expansion, given, inside, rays, first)
 
 
 def _highest(gradient: FloatArray, hessian: FloatArray, half: FloatArray) -> FloatArray:
@@ -138,7 +138,7 @@ def _stopped(root: FloatArray, inside: FloatArray, rays: FloatArray, half: Float
 
 
 def _refined(
-    field: PredicateFunction,
+    function: PredicateFunction,
     expansion: Expansion,
     given: Bounds,
     inside: FloatArray,
@@ -150,7 +150,7 @@ def _refined(
     center, lower, upper = (a[:, None] for a in (expansion.center, expansion.lower, expansion.upper))
     flat = np.clip(center + first, lower, upper).reshape(-1, s)
     repeated = np.repeat(given[0], count, axis=1), np.repeat(given[1], count, axis=1)
-    enclosure = field.enclosure(flat, flat, repeated, curved=False)
+    enclosure = function.enclosure(flat, flat, repeated, curved=False)
     value = middle(enclosure.value)[0].reshape(rows, count)
     along = (middle(enclosure.gradient)[0].reshape(rows, count, s) * rays).sum(axis=2)
     size = (rays**2).sum(axis=2)

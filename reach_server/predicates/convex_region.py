@@ -72,34 +72,34 @@ def disc_expression(predicate: DiscPredicate) -> Expression:
     return Sum((Power(Number(predicate.radius), Number(2.0)), *squares))
 
 
-def ellipsoid_strips(field: PredicateFunction, n: int, uncertainty: StateUncertainty) -> FixedStrips | None:
+def ellipsoid_strips(function: PredicateFunction, n: int, uncertainty: StateUncertainty) -> FixedStrips | None:
     """The strips of tangents around ``h >= 0``; None where that is no ellipsoid, or hardly one."""
-    s = field.dimension
-    if not field.quadratic or not s:
+    s = function.dimension
+    if not function.quadratic or not s:
         return None
     with np.errstate(all="ignore"):
-        found = _ellipsoid(field)
+        found = _ellipsoid(function)
     if found is None:
         return None
     half_normal, lower, upper = found
     normal = np.zeros((len(lower), n))
-    normal[:, list(field.coordinates)] = half_normal
+    normal[:, list(function.coordinates)] = half_normal
     return FixedStrips(normal, lower, upper, uncertainty)
 
 
-def _ellipsoid(field: PredicateFunction) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """normal (C, s), lower and upper (C,) over the states of the field."""
-    s = field.dimension
+def _ellipsoid(function: PredicateFunction) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """normal (C, s), lower and upper (C,) over the states of the function."""
+    s = function.dimension
     nothing = np.zeros((0, 1)), np.zeros((0, 1))
     origin = np.zeros((1, s))
-    at_origin = field.enclosure(origin, origin, nothing)
+    at_origin = function.enclosure(origin, origin, nothing)
     curvature = greatest_curvature(at_origin.hessian)
     hessian, gradient = middle(at_origin.hessian)[0][0], middle(at_origin.gradient)[0][0]
     # An ellipsoid a million times longer than wide is as good as unbounded.
     if not curvature[0] < -1e-12 * np.abs(hessian).max():
         return None
     peak = np.linalg.solve(hessian, -gradient)[None]
-    enclosure = field.enclosure(peak, peak, nothing)
+    enclosure = function.enclosure(peak, peak, nothing)
     highest = enclosure.value[1][0]
     steep = np.maximum(np.abs(enclosure.gradient[0]), np.abs(enclosure.gradient[1])).sum()
     if not (np.isfinite(highest) and np.isfinite(steep)) or enclosure.value[0][0] <= 0:
@@ -109,7 +109,7 @@ def _ellipsoid(field: PredicateFunction) -> tuple[FloatArray, FloatArray, FloatA
     values, vectors = np.linalg.eigh(-hessian / (2 * highest))
     root = (vectors / np.sqrt(values)) @ vectors.T
     points = peak + directions(s) @ root
-    normal, bound = (a[0] for a in tangents_at(field, points[None], nothing, peak, far, curvature))
+    normal, bound = (a[0] for a in tangents_at(function, points[None], nothing, peak, far, curvature))
     if not np.isfinite(bound).all():
         return None
     half = len(bound) // 2

@@ -37,12 +37,12 @@ class Expansion:
     point: TaylorEnclosure
 
     @staticmethod
-    def of(field: PredicateFunction, center: FloatArray, generators: FloatArray, given: Bounds) -> "Expansion":
+    def of(function: PredicateFunction, center: FloatArray, generators: FloatArray, given: Bounds) -> "Expansion":
         """The expansion of a predicate function, from one evaluation for all boxes and centers."""
         half = sum_up(np.abs(generators))
         lower, upper = add_down(center, -half), add_up(center, half)
         twice = np.concatenate([given[0], given[0]], axis=1), np.concatenate([given[1], given[1]], axis=1)
-        both = field.enclosure(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
+        both = function.enclosure(np.concatenate([lower, center]), np.concatenate([upper, center]), twice)
         rows = len(center)
         return Expansion(center, generators, half, lower, upper, both[:rows], both[rows:])
 

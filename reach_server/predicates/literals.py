@@ -174,11 +174,11 @@ class Literals:
         if isinstance(predicate, DiscPredicate):
             enclosure = NonlinearEnclosure(PredicateFunction(disc_expression(predicate), index), self._n, uncertainty)
             return ConvexRegionEnclosure(disc_strips(predicate, index, self._n, uncertainty), enclosure)
-        field = PredicateFunction(predicate.expression, index)
-        if affine_in_states(predicate.expression) and field.everywhere and field.coordinates:
-            return AffineEnclosure(field, self._n, uncertainty)
-        enclosure = NonlinearEnclosure(field, self._n, uncertainty)
-        region = ellipsoid_strips(enclosure.field, self._n, uncertainty)
+        function = PredicateFunction(predicate.expression, index)
+        if affine_in_states(predicate.expression) and function.everywhere and function.coordinates:
+            return AffineEnclosure(function, self._n, uncertainty)
+        enclosure = NonlinearEnclosure(function, self._n, uncertainty)
+        region = ellipsoid_strips(enclosure.function, self._n, uncertainty)
         return enclosure if region is None else ConvexRegionEnclosure(region, enclosure)
 
 

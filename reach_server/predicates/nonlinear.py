@@ -28,9 +28,9 @@ NEARLY_CONCAVE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearEnclosure:
-    """The predicate ``field >= 0`` over the first n states of a class."""
+    """The predicate ``function >= 0`` over the first n states of a class."""
 
-    field: PredicateFunction
+    function: PredicateFunction
     n: int
     uncertainty: StateUncertainty
 
@@ -43,7 +43,7 @@ class NonlinearEnclosure:
         """See ``PredicateEnclosure``: by bounds of h over the set."""
         with np.errstate(all="ignore"):
             moved, _ = self._expanded(center, generators, context, self.uncertainty.still())
-            same = not self.uncertainty.motion.any() and not self.field.timed
+            same = not self.uncertainty.motion.any() and not self.function.timed
             still = moved if same else self._expanded(center, generators, context, None)[0]
             return verdict_of((-still).above().greatest <= 0, moved.above().negative)
 
@@ -54,7 +54,7 @@ class NonlinearEnclosure:
             above = expansion.above()
             normal, bound = self._half_spaces(expansion, above, given)
             empty = self._empty(expansion, above, given, normal, bound)
-            coordinates = list(self.field.coordinates)
+            coordinates = list(self.function.coordinates)
             lower = add_down(bound, -reach(normal, self.uncertainty.generators[coordinates]))
         wide = np.zeros((*bound.shape, self.n))
         wide[..., coordinates] = normal
@@ -64,14 +64,14 @@ class NonlinearEnclosure:
         self, center: FloatArray, generators: FloatArray, context: Context, uncertainty: StateUncertainty | None
     ) -> tuple[Expansion, Bounds]:
         """The expansion over the true states of sets, as far as they may have moved; None: states as they are."""
-        coordinates = list(self.field.coordinates)
+        coordinates = list(self.function.coordinates)
         rows = len(center)
         columns = generators[:, coordinates]
         if uncertainty is not None:
             more = uncertainty.generators[coordinates]
             columns = np.concatenate([columns, np.broadcast_to(more, (rows, *more.shape))], axis=2)
-        given = self.field.given(context, rows, None if uncertainty is None else uncertainty.margin)
-        return Expansion.of(self.field, center[:, coordinates], columns, given), given
+        given = self.function.given(context, rows, None if uncertainty is None else uncertainty.margin)
+        return Expansion.of(self.function, center[:, coordinates], columns, given), given
 
     def _half_spaces(self, expansion: Expansion, above: Above, given: Bounds) -> tuple[FloatArray, FloatArray]:
         """``normal·x >= bound`` (R, C, s), (R, C) for true states."""
@@ -88,15 +88,15 @@ class NonlinearEnclosure:
         normal[:, 0], bound[:, 0] = above.normal, level
         some = expansion[concave]
         chosen = given[0][:, concave], given[1][:, concave]
-        points = border(self.field, some, chosen)
+        points = border(self.function, some, chosen)
         normal[concave], bound[concave] = tangents(
-            self.field, points, chosen, some.center, some.half, above.curvature[concave]
+            self.function, points, chosen, some.center, some.half, above.curvature[concave]
         )
         return normal, bound
 
     def _concave(self, expansion: Expansion, curvature: FloatArray) -> BoolArray:
         """Where tangents can be stacked (R,)."""
-        if self.field.affine:
+        if self.function.affine:
             return np.zeros(len(curvature), dtype=bool)
         missing = np.maximum(curvature, 0.0) * 2 * (expansion.half**2).sum(axis=1)
         low, high = expansion.box.value
@@ -115,7 +115,7 @@ class NonlinearEnclosure:
         lower, upper, removed = contracted(
             expansion.lower[doubtful], expansion.upper[doubtful], normal[doubtful], bound[doubtful]
         )
-        remaining = self.field.values(lower, upper, (given[0][:, doubtful], given[1][:, doubtful]))[1]
+        remaining = self.function.values(lower, upper, (given[0][:, doubtful], given[1][:, doubtful]))[1]
         empty[doubtful] = removed | (remaining < -EMPTY_MARGIN * above.size[doubtful])
         return empty
 

@@ -17,8 +17,8 @@ from fleet_bus.rejections import Rejections
 from fleet_bus.writers import Source
 from reach_server.data.events import EngineEvent
 from reach_server.data.window import SampleBatch
-from reach_server.engine.engine import Engine, PlannedInputs
-from reach_server.engine.results import Tubes
+from reach_server.engine.engine import Engine, PlannedInputs, unheeded
+from reach_server.engine.results import Checks, Tubes
 from reach_server.service.ingest import VehicleBatch
 from reach_server.service.profiles import Profiles
 from reach_server.service.registry import VehicleRegistry
@@ -46,6 +46,7 @@ class Outcome:
     events: list[EngineEvent]
     stored: int
     repeated: int
+    checks: Checks
 
 
 class Fleet:
@@ -144,6 +145,11 @@ class Fleet:
         self._registry.advance(now)
         return [*self._admission.elapse(now), *self._scenarios.elapse(now)]
 
+    @property
+    def clocks_off(self) -> int:
+        """Vehicles whose clocks are not believed."""
+        return len(self._registry.clocks_off)
+
     def mark_gone(self, vehicle: str) -> None:
         """A vehicle is certainly gone: it need not have been silent for ``SILENT`` seconds to be let go."""
         if (known := self._registry.vehicles.get(vehicle)) is not None:
@@ -157,8 +163,14 @@ class Fleet:
             self._scenarios.forget(vehicle)
         return gone
 
-    def process(self, batches: list[VehicleBatch], now: float | None = None) -> Outcome:
-        """Store all samples and compute a tube from the newest one of each vehicle that got any."""
+    def process(
+        self,
+        batches: list[VehicleBatch],
+        now: float | None = None,
+        passed: Callable[[str], object] = unheeded,
+    ) -> Outcome:
+        """Store all samples and compute a tube from the newest one of each vehicle that got any; ``passed`` is told
+        when a stage is over."""
         stamps = [int(batch.states.t.max()) for batch in batches if len(batch.states.t)]
         now = self._registry.advance(max(stamps, default=0) / 1e9 if now is None else now)
         events: list[EngineEvent] = []
@@ -174,15 +186,18 @@ class Fleet:
                 arrived = None if batch.arrived_ns is None else batch.arrived_ns[rows]
                 for part in self._admission.admit(vehicle, known, states, Source(session, epoch), arrived, now, events):
                     parts[id(known.engine)].append(part)
+        passed("admit")
         engines = {id(engine): engine for engine in self._registry.engines}
+        checks = Checks()
         tubes: list[tuple[Engine, Tubes]] = []
         stored = repeated = 0
         for key, samples in parts.items():
             engine = engines[key]
             joined = SampleBatch.join(samples)
             slots = np.unique(joined.vehicle)
-            before = engine.window.newest(slots)
+            before, checked = engine.window.newest(slots), engine.checks
             appended, found = engine.append(joined)
+            checks += engine.checks - checked
             # What caches repeat may be older than all that a full window holds.
             stored, repeated = stored + appended.stored, repeated + appended.repeated + appended.too_old
             for field, reason, detail in SETTLED:
@@ -193,12 +208,13 @@ class Fleet:
             after = engine.window.newest(slots)
             # What an agent's cache repeats fills the window, it is no reason for another tube.
             slots = slots[(before[0] != after[0]) | (before[1] != after[1]) | (before[2] != after[2])]
+            passed("append")
             for group, known_inputs in self._by_plan(engine, slots) if len(slots) else []:
-                result = engine.predict(group, known_inputs)
+                result = engine.predict(group, known_inputs, passed)
                 events += result.events
                 result = result.noted(self._registry.clocks_off)
                 tubes.append((engine, result.noted(self._admission.conflicts, contradicted=True)))
-        return Outcome(tubes, events, stored, repeated)
+        return Outcome(tubes, events, stored, repeated, checks)
 
     def _by_plan(self, engine: Engine, slots: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], PlannedInputs | None]]:
         if engine.profile.future_inputs != "plan":

@@ -58,6 +58,11 @@ class Ingest:
         if full:
             self._rejections.count(MessageError("overflow", f"{self._limit} states wait already"), received.key)
 
+    @property
+    def queued(self) -> int:
+        """Messages that wait to be taken."""
+        return len(self._queue)
+
     def drain(self) -> list[VehicleBatch]:
         """Everything that has come since, decoded; what cannot be accepted is counted by reason."""
         with self._lock:

@@ -39,6 +39,8 @@ class Outbox:
         """Publish the tube of a vehicle."""
         self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, 1).put(tube.encode())
         self._tally.tubes += 1
+        key = tube.label, tube.method
+        self._tally.by_label[key] = self._tally.by_label.get(key, 0) + 1
 
     def put_event(self, event: EngineEvent) -> None:
         """Publish an event about a vehicle, unless too many of its kind have come of late."""
@@ -52,7 +54,7 @@ class Outbox:
         )  # fmt: skip
         _log.info("event", kind=str(admitted.kind), vehicle=admitted.vehicle, message=admitted.message)
         self._publisher(keys.event(admitted.vehicle), Event.encoding(), EVENT_CACHE).put(message.encode())
-        self._tally.events += 1
+        self._count(admitted.kind)
 
     def tell(self, kind: EventKind, message: str, details: dict[str, str | int | float | bool]) -> None:
         """Publish an event about the server itself."""
@@ -62,7 +64,11 @@ class Outbox:
         )  # fmt: skip
         _log.warning("event", kind=str(kind), message=message)
         self._own_events.put(event.encode())
+        self._count(kind)
+
+    def _count(self, kind: EventKind) -> None:
         self._tally.events += 1
+        self._tally.by_kind[kind] += 1
 
     def forget(self, vehicle: str) -> None:
         """Close the publishers of a vehicle that is not known any more."""

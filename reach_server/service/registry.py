@@ -99,7 +99,7 @@ class VehicleRegistry:
         # While nobody is heard it is the network that is silent.
         most = max(LEAST_SILENT_KEPT, live // 4) if live else len(silent)
         surplus = max(len(silent) - most, 0)
-        gone = [vehicle for place, (seen, vehicle) in enumerate(silent) if place < surplus or now - seen > LET_GO]
+        gone = [vehicle for index, (seen, vehicle) in enumerate(silent) if index < surplus or now - seen > LET_GO]
         for vehicle in gone:
             self.clocks_off.pop(vehicle, None)
             engine = self.vehicles.pop(vehicle).engine

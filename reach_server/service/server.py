@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Final
 
+import numpy as np
 import structlog
 
 from fleet_bus import keys
@@ -33,10 +34,12 @@ from reach_server.service.cache_queries import HISTORY, CacheQueries
 from reach_server.service.fleet import Fleet
 from reach_server.service.ingest import Ingest, VehicleBatch
 from reach_server.service.load import Load
+from reach_server.service.newest_tubes import NewestTubes
 from reach_server.service.other_servers import OtherServers
 from reach_server.service.outbox import EVENT_CACHE, Outbox
 from reach_server.service.presence import Presence
-from reach_server.service.status import Tally, service_status
+from reach_server.service.stages import Stages
+from reach_server.service.status import Counters, FleetGauges, Tally, service_status
 
 _log = structlog.get_logger(__name__)
 
@@ -71,14 +74,15 @@ class ReachServer:
         self._control: deque[Received | tuple[str, bool]] = deque()
         self._open = ExitStack()
         self._started = clock.time_ns()
-        self._tally = Tally()
+        self._tally = Tally(round_ns=self._started)
         #: Classes when ``_settle`` last did something.
         self._settled = 0
         self._presence = Presence()
         self._load = Load()
         self._others = OtherServers("", instance)
-        #: Why vehicles have no tube, by id.
-        self._waiting: dict[str, str] = {}
+        self._newest = NewestTubes()
+        self._stages = Stages(clock)
+        self._gauges = self._gauges_now()
 
     def __enter__(self) -> "ReachServer":
         with ExitStack() as opening:
@@ -123,10 +127,12 @@ class ReachServer:
                 # One vehicle's data must not end the service of all others; the status counts it.
                 self._tally.failures += 1
                 _log.exception("a round failed, its samples are lost")
+            self._tally.round_ns = self._clock.time_ns()
             self._settle()
             if began >= next_status:
                 next_status = began + STATUS_SECONDS
                 self.look_around(began)
+                self._gauges = self._gauges_now()
                 self._status.put(self.status().encode())
             self._clock.wait(stop, max(0.0, TICK_SECONDS - (self._clock.monotonic() - began)))
 
@@ -142,26 +148,30 @@ class ReachServer:
     def tick(self) -> None:
         """One round: rare messages first, then all samples, then the tubes of their newest."""
         now = self._clock.monotonic()
+        self._stages.begin()
         self._handle_control(now)
+        self._stages.passed("control")
         batches = self.ingest.drain()
+        self._stages.passed("decode")
         if batches:
             self._process(batches, now)
         for event in self.fleet.elapse(now):
             self._outbox.put_event(event)
         self._queries.ask(now)
+        self._stages.passed("upkeep")
 
     def _process(self, batches: list[VehicleBatch], now: float) -> None:
         began = self._clock.monotonic()
-        outcome = self.fleet.process(batches, now)
+        outcome = self.fleet.process(batches, now, self._stages.passed)
         seconds = self._clock.monotonic() - began
         self._tally.compute.append(seconds)
         self._tally.stored += outcome.stored
         self._tally.repeated += outcome.repeated
+        self._tally.checks += outcome.checks
+        self._tally.batch.add(sum(len(batch.vehicles) for batch in batches))
         late = self._load.note
         for engine, tubes in outcome.tubes:
-            for vehicle in tubes.vehicles:
-                self._waiting.pop(vehicle, None)
-            self._waiting |= tubes.waiting
+            self._newest.see(tubes)
             audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
             profile = engine.profile
             for message in publish.messages(
@@ -172,20 +182,25 @@ class ReachServer:
                 self._outbox.put_tube(message)
         self._tally.latencies.append(self._clock.monotonic() - began)
         if outcome.tubes:
-            self._see_load(batches)
+            self._see_load(batches, [vehicle for _, tubes in outcome.tubes for vehicle in tubes.vehicles])
         for event in outcome.events:
             self._outbox.put_event(event)
         for batch in batches:
             for vehicle in set(batch.vehicles):
                 self._queries.see(vehicle, now)
+        self._stages.passed("publish")
 
-    def _see_load(self, batches: list[VehicleBatch]) -> None:
-        """Hold the times at which the newest samples of a round came against that at which their tubes were out."""
+    def _see_load(self, batches: list[VehicleBatch], served: list[str]) -> None:
+        """Hold the times at which the newest samples of a round came against that at which the tubes of the vehicles
+        ``served`` were out."""
         newest: dict[str, int] = {}
         for batch in batches:
             if batch.arrived_ns is not None:
                 newest.update(zip(batch.vehicles, batch.arrived_ns.tolist(), strict=True))
-        behind = (self._clock.time_ns() - min(newest.values())) / 1e9 if newest else 0.0
+        now = self._clock.time_ns()
+        behind = (now - min(newest.values())) / 1e9 if newest else 0.0
+        arrived = np.array([newest[vehicle] for vehicle in served if vehicle in newest], dtype=np.int64)
+        self._tally.tube_latency.add(np.maximum(now - arrived, 0) / 1e9)
         if self._load.see(max(0.0, behind)):
             self._outbox.tell(EventKind.BEHIND, self._load.message, {"behind": self._load.behind})
 
@@ -249,7 +264,7 @@ class ReachServer:
         heard = {vehicle: at for vehicle in waiting if (at := self.fleet.heard(vehicle)) is not None}
         intervals = {vehicle: self.fleet.interval(vehicle) for vehicle in waiting}
         for vehicle in self._presence.gone(heard, intervals, now):
-            self._waiting.pop(vehicle, None)
+            self._newest.forget(vehicle)
             self.fleet.mark_gone(vehicle)
             message = f"{vehicle} is gone: no samples come, and it is out of sight"
             self._outbox.put_event(EngineEvent(EventKind.VEHICLE_GONE, vehicle, self._clock.time_ns(), message))
@@ -257,7 +272,7 @@ class ReachServer:
             _log.info("let go of a vehicle that was silent for long", vehicle=vehicle)
             self._queries.forget(vehicle)
             self._outbox.forget(vehicle)
-            self._waiting.pop(vehicle, None)
+            self._newest.forget(vehicle)
 
     def _tell_refused_document(self, item: Received, error: MessageError) -> None:
         if not item.key.startswith("fleet/"):
@@ -274,6 +289,23 @@ class ReachServer:
         """Counters and gauges of this moment."""
         return service_status(
             self.instance, self._started, self._clock.time_ns(), tally=self._tally, fleet=self.fleet, load=self._load,
-            states=self.ingest.received, refused=self.rejections.snapshot(), waiting=self._waiting,
+            states=self.ingest.received, refused=self.rejections.snapshot(), waiting=self._newest.waiting,
             problems=self._others.problems,
+        )  # fmt: skip
+
+    def _gauges_now(self) -> FleetGauges:
+        clocks = self.fleet.clock_offsets().values()
+        return FleetGauges(
+            known=len(self.fleet.vehicles), waiting=len(self._newest.waiting), engines=len(self.fleet.engines),
+            newest=self._newest.by_label(), clocks_off=self.fleet.clocks_off,
+            clock_offset=max((abs(offset) for offset, _ in clocks), default=0.0),
+            problems=len(self._others.problems) + self._load.late,
+        )  # fmt: skip
+
+    def counters(self) -> Counters:
+        """What has been counted until now, for any thread to read while the server works; what takes a look at all
+        vehicles is up to a second old."""
+        return Counters(
+            self._tally, self._gauges, self._stages.seconds, self.rejections.snapshot(), self.ingest.received,
+            self.ingest.queued, self._load.behind,
         )  # fmt: skip

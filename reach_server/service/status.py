@@ -6,20 +6,30 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final
 
-from fleet_bus.messages import ServiceStatus
+from fleet_bus.histogram import Histogram
+from fleet_bus.messages import EventKind, Label, ServiceStatus
+from fleet_bus.messages.methods import TUBE_METHODS
+from reach_server.engine.results import Checks
 from reach_server.service.fleet import Fleet
 from reach_server.service.load import Load
 
 #: Vehicles that a status names at most, in each of its lists, and problems.
 MOST_NAMED: Final = 100
 MOST_PROBLEMS: Final = 32
+#: Bounds of the histograms: seconds from the arrival of a sample to its tube, and samples of a round.
+LATENCIES: Final = (0.001, 0.0025, 0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+BATCHES: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 50_000)
 
 
 @dataclass(slots=True)
 class Tally:
     """Samples that were stored, and repeated by caches; tubes and events that were published, and events that were
     withheld, being too many of a kind; rounds that failed; and how long (s) the newest rounds took: the computation
-    alone, and until all was published."""
+    alone, and until all was published.
+
+    ``by_label`` and ``by_kind`` divide tubes and events; they have all their keys from the beginning, so that another
+    thread may look through them. ``round_ns`` is when the newest round was over (Unix ns), or the start.
+    """
 
     stored: int = 0
     repeated: int = 0
@@ -29,6 +39,42 @@ class Tally:
     failures: int = 0
     compute: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
+    round_ns: int = 0
+    checks: Checks = field(default_factory=Checks)
+    by_label: dict[tuple[Label, str], int] = field(
+        default_factory=lambda: {(label, method): 0 for label in Label for method in TUBE_METHODS}
+    )
+    by_kind: dict[EventKind, int] = field(default_factory=lambda: dict.fromkeys(EventKind, 0))
+    tube_latency: Histogram = field(default_factory=lambda: Histogram(LATENCIES))
+    batch: Histogram = field(default_factory=lambda: Histogram(BATCHES))
+
+
+@dataclass(frozen=True, slots=True)
+class FleetGauges:
+    """Vehicles ``known``, ``waiting`` for a tube, and by the label of their ``newest`` one; classes (``engines``);
+    clocks that are off, and the greatest offset (s); and how many ``problems`` an operator should look at."""
+
+    known: int
+    waiting: int
+    engines: int
+    newest: Mapping[Label, int]
+    clocks_off: int
+    clock_offset: float
+    problems: int
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """All that a server has counted: its tally, gauges of the fleet, ``seconds`` by stage, ``refused`` messages by
+    reason, ``states`` that came and that are still ``queued``, and how far it is ``behind`` (s)."""
+
+    tally: Tally
+    fleet: FleetGauges
+    seconds: Mapping[str, float]
+    refused: Mapping[str, int]
+    states: int
+    queued: int
+    behind: float
 
 
 def service_status(

@@ -215,8 +215,8 @@ def constrained_contains(outer: Parts, inner: Parts) -> BoolArray:
         return np.broadcast_to((inside & mine.exact & ~mine.empty) | empty, batch)
     outer, inner = common_batch(outer, batch), common_batch(inner, batch)
     found = np.array(np.broadcast_to(empty, batch))
-    for place in np.argwhere(~found):
-        found[tuple(place)] = _contains(at(outer, tuple(place)), at(inner, tuple(place)))
+    for index in np.argwhere(~found):
+        found[tuple(index)] = _contains(at(outer, tuple(index)), at(inner, tuple(index)))
     return found
 
 

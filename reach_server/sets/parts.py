@@ -37,10 +37,10 @@ def common_batch(parts: Parts, batch: tuple[int, ...] = ()) -> Parts:
     )
 
 
-def at(parts: Parts, place: tuple[int, ...]) -> Parts:
+def at(parts: Parts, index: tuple[int, ...]) -> Parts:
     """The parts of one set of a batch with all axes written out."""
     center, generators, matrix, offset = parts
-    return center[place], generators[place], matrix[place], offset[place]
+    return center[index], generators[index], matrix[index], offset[index]
 
 
 def joined_constraints(first: Parts, second: Parts) -> tuple[FloatArray, FloatArray]:

@@ -127,11 +127,11 @@ def _of(batch: AnySet) -> list[AnySet]:
         return np.broadcast_to(array, (*batch.batch, *array.shape[array.ndim - own :]))
 
     center, generators = wide(batch.center, 1), wide(batch.generators, 2)
-    places = list(np.ndindex(*batch.batch))
+    indices = list(np.ndindex(*batch.batch))
     if isinstance(batch, Zonotope):
-        return [Zonotope(center[p], generators[p], batch.direction) for p in places]
+        return [Zonotope(center[p], generators[p], batch.direction) for p in indices]
     matrix, offset = wide(batch.constraint_matrix, 2), wide(batch.constraint_offset, 1)
-    return [ConstrainedZonotope(center[p], generators[p], matrix[p], offset[p]) for p in places]
+    return [ConstrainedZonotope(center[p], generators[p], matrix[p], offset[p]) for p in indices]
 
 
 def _check_axes(one: AnySet, axes: tuple[int, int]) -> None:

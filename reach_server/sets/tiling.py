@@ -105,5 +105,5 @@ def _draw(weights: FloatArray, rng: np.random.Generator, count: int) -> np.ndarr
     share = np.cumsum(weights, axis=-1) / weights.sum(axis=-1, keepdims=True)
     sets, size = weights.shape
     offset = 2.0 * np.arange(sets)[:, None]
-    place = np.searchsorted((share + offset).ravel(), (rng.random((sets, count)) + offset).ravel(), side="right")
-    return np.asarray(np.clip(place.reshape(sets, count) - size * np.arange(sets)[:, None], 0, size - 1))
+    index = np.searchsorted((share + offset).ravel(), (rng.random((sets, count)) + offset).ravel(), side="right")
+    return np.asarray(np.clip(index.reshape(sets, count) - size * np.arange(sets)[:, None], 0, size - 1))

@@ -65,8 +65,8 @@ def constrained_volume_bracket(parts: Parts) -> tuple[FloatArray, FloatArray]:
         return np.maximum(width - 1e-9 * np.abs(generators).sum(axis=(-2, -1)), 0.0), width
     parts = common_batch(parts)
     found = np.zeros((*batch, 2))
-    for place in np.ndindex(*batch):
-        found[place] = _refined_bracket(at(parts, place))
+    for index in np.ndindex(*batch):
+        found[index] = _refined_bracket(at(parts, index))
     return found[..., 0], found[..., 1]
 
 

@@ -67,8 +67,8 @@ class HorizonContexts:
             whole = context_ahead(self._tracker_of(scenario), every, ahead, self._step_ns)
             self._series[scenario] = ContextCache(whole)
         whole = self._series[scenario].context
-        place = k * count + row[rows]
+        index = k * count + row[rows]
         return Context(
-            whole.t[place], whole.k[place], whole.last_t[place], whole.last_lower[place], whole.last_upper[place],
-            whole.t_slack, self._series[scenario], place,
+            whole.t[index], whole.k[index], whole.last_t[index], whole.last_lower[index], whole.last_upper[index],
+            whole.t_slack, self._series[scenario], index,
         )  # fmt: skip

@@ -74,7 +74,7 @@ class SampleObserver:
             status = partial(_looked_up, by_sample[rows, column], own)
             for row in np.flatnonzero(tracker.observe(slots[rows], t, status)).tolist():
                 slot = int(slots[rows[row]])
-                asked = tracker.asked(tracker.pursuits[ASSUME].before[[slot]])
+                asked = tracker.asked(tracker.formula_states[ASSUME].before[[slot]])
                 false = asked[status(asked, np.array([row]))[0] < 0].tolist()
                 found.append(Contradiction(slot, int(t[row]), tracker.needed(slot, false)))
         return found

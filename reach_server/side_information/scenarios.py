@@ -86,7 +86,7 @@ class Assignments:
                 made = self.literals.add(
                     predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
                 )
-                tracker.pursuits[formula].literals.add(made)
+                tracker.formula_states[formula].literals.add(made)
                 return made
 
             return self.table.add(normals[formula], grid, literal, lead=lead)
@@ -194,7 +194,7 @@ class Assignments:
         for column, tracker in enumerate(self._trackers.values()):
             tracker.grow(int(slots.max(initial=-1)) + 1)
             acts = self._speaks(tracker, slots) & ~tracker.contradicted[slots] & tracker.started(slots)
-            beliefs[acts, column] = tracker.pursuits[ASSUME].before[slots[acts]]
+            beliefs[acts, column] = tracker.formula_states[ASSUME].before[slots[acts]]
             tested &= ~acts | tracker.tested[slots]
         if not self._trackers:
             return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.int64), tested
@@ -243,8 +243,8 @@ class Assignments:
                     for kind in (HOLDS, FAILS)
                 )  # fmt: skip
                 settled = self.table.belief([TRUE])
-                for place, row in enumerate(rows.tolist()):
-                    found[row][f"{name}.{requirement}"] = verdict(holds[place], fails[place], settled, DEAD)
+                for index, row in enumerate(rows.tolist()):
+                    found[row][f"{name}.{requirement}"] = verdict(holds[index], fails[index], settled, DEAD)
         return tuple(found)
 
     def contradict(

@@ -55,7 +55,7 @@ class ScenarioTracker:
         bounds = (end for formula in (scenario.side_information, *requirements) for end in bounds_ns(formula))
         #: Whether all windows begin and end at places of the grid.
         self._whole = all(end % step_ns == 0 for end in bounds)
-        self.pursuits = {name: FormulaState() for name in formulas}
+        self.formula_states = {name: FormulaState() for name in formulas}
         self.zero = np.zeros(0, dtype=np.int64)
         self.assigned = np.zeros(0, dtype=bool)
         self.contradicted = np.zeros(0, dtype=bool)
@@ -80,9 +80,9 @@ class ScenarioTracker:
         ):  # fmt: skip
             array = getattr(self, name)
             setattr(self, name, grow_rows(array, slots, array))
-        for pursuit in self.pursuits.values():
-            pursuit.before = grow_rows(pursuit.before, slots, pursuit.before)
-            pursuit.after = grow_rows(pursuit.after, slots, pursuit.after)
+        for state in self.formula_states.values():
+            state.before = grow_rows(state.before, slots, state.before)
+            state.after = grow_rows(state.after, slots, state.after)
 
     def assign(self, slot: int, zero: int, slack: int) -> bool:
         """Let a vehicle take part, from its time zero (ns) known up to ``slack`` ns; whether that is anything new."""
@@ -106,12 +106,12 @@ class ScenarioTracker:
         """Whether the scenario asks anything of a vehicle from its newest sample on."""
         if slot >= len(self.assigned) or not (self.assigned[slot] and self._started[slot]):
             return False
-        return self._table.members(int(self.pursuits[ASSUME].before[slot])) != (TRUE,)
+        return self._table.members(int(self.formula_states[ASSUME].before[slot])) != (TRUE,)
 
     def _root(self, name: str, slot: int) -> int:
         """Belief of a vehicle about a formula at its first place."""
         grid = self._grid(slot)
-        roots = self.pursuits[name].roots
+        roots = self.formula_states[name].roots
         if grid not in roots:
             roots[grid] = self._table.belief([self._add[name](grid, int(self._before[slot]))])
         return roots[grid]
@@ -127,8 +127,8 @@ class ScenarioTracker:
         # has, so that tubes see time zero come.
         self._before[slot] = self._lead + self._grid(slot).lead
         self._index[slot], self._started[slot], self.tested[slot] = -self._before[slot] - 1, False, False
-        for name, pursuit in self.pursuits.items():
-            pursuit.before[slot] = pursuit.after[slot] = self._root(name, slot)
+        for name, state in self.formula_states.items():
+            state.before[slot] = state.after[slot] = self._root(name, slot)
 
     def take_over(self, other: "ScenarioTracker | None") -> None:
         """Let the vehicles of an earlier document take part from their time zero on."""
@@ -153,12 +153,12 @@ class ScenarioTracker:
 
     def followed(self, slots: IndexArray) -> NDArray[np.bool_]:
         """Of which vehicles (B,) a formula is still to be followed: after a contradiction only requirements are."""
-        return np.asarray(~self.contradicted[slots] | (len(self.pursuits) > 1))
+        return np.asarray(~self.contradicted[slots] | (len(self.formula_states) > 1))
 
     def literals(self, slots: IndexArray) -> set[int]:
         """Literals that samples of some vehicles are asked for."""
         over = bool(self.contradicted[slots].all())
-        return set().union(*(p.literals for name, p in self.pursuits.items() if not (over and name == ASSUME)))
+        return set().union(*(p.literals for name, p in self.formula_states.items() if not (over and name == ASSUME)))
 
     def observe(self, slots: IndexArray, t: IntArray, status: Status) -> NDArray[np.bool_]:
         """Take in one sample each of some vehicles (B,), stamps ns; which of them contradict the scenario now.
@@ -180,14 +180,14 @@ class ScenarioTracker:
         rows, chosen = rows[~strays], chosen[~strays]
         repeated = index[rows] == self._index[chosen]
         missing = np.maximum(index[rows] - self._index[chosen] - 1, 0)
-        for name, pursuit in self.pursuits.items():
+        for name, state in self.formula_states.items():
             open_ = ~self.contradicted[chosen] | (name != ASSUME)
-            self._pass(pursuit.before, pursuit.after, chosen[open_], repeated[open_], missing[open_])
+            self._pass(state.before, state.after, chosen[open_], repeated[open_], missing[open_])
             asked = open_ & ~repeated
-            self._ask(pursuit, chosen[asked], rows[asked], status)
+            self._ask(state, chosen[asked], rows[asked], status)
         self.tested[chosen], self._index[chosen], self._started[chosen] = ~repeated, index[rows], True
         lost = np.zeros(len(slots), dtype=bool)
-        lost[rows] = (self.pursuits[ASSUME].after[chosen] == DEAD) & ~self.contradicted[chosen]
+        lost[rows] = (self.formula_states[ASSUME].after[chosen] == DEAD) & ~self.contradicted[chosen]
         return lost
 
     def replay(self) -> IndexArray:
@@ -209,17 +209,17 @@ class ScenarioTracker:
             slot = int(slots[row])
             after[slot] = self._table.skip(int(after[slot]), int(missing[row]))
 
-    def _ask(self, pursuit: FormulaState, slots: IndexArray, rows: IndexArray, status: Status) -> None:
+    def _ask(self, state: FormulaState, slots: IndexArray, rows: IndexArray, status: Status) -> None:
         """Go on with samples at their own places; one table look-up for vehicles in the same case."""
         if not len(slots):
             return
-        beliefs = pursuit.before[slots] = pursuit.after[slots]
+        beliefs = state.before[slots] = state.after[slots]
         literals = self.asked(beliefs)
-        pursuit.after[slots] = self.go_on(beliefs, literals, status(literals, rows) < 0)
+        state.after[slots] = self.go_on(beliefs, literals, status(literals, rows) < 0)
 
     def needed(self, slot: int, false: list[int]) -> tuple[int, ...]:
         """Of the literals that were false at the newest sample of a vehicle as few as contradict the scenario."""
-        before = int(self.pursuits[ASSUME].before[slot])
+        before = int(self.formula_states[ASSUME].before[slot])
         for literal in tuple(false):
             fewer = frozenset(false) - {literal}
             if self._table.after(before, fewer) == DEAD:
@@ -238,14 +238,14 @@ class ScenarioTracker:
 
     def beliefs(self) -> list[int]:
         """All that is believed of its vehicles."""
-        return [int(b) for p in self.pursuits.values() for b in np.unique([p.before, p.after])]
+        return [int(b) for p in self.formula_states.values() for b in np.unique([p.before, p.after])]
 
     def rebase(self, table: Table, numbers: Mapping[int, int]) -> None:
         """Go on with another table, in which the beliefs have these ``numbers``."""
         self._table = table
-        for pursuit in self.pursuits.values():
-            pursuit.roots.clear()
-            for beliefs in (pursuit.before, pursuit.after):
+        for state in self.formula_states.values():
+            state.roots.clear()
+            for beliefs in (state.before, state.after):
                 beliefs[:] = [numbers[belief] for belief in beliefs.tolist()]
 
     def asked(self, beliefs: IntArray) -> NDArray[np.intp]:

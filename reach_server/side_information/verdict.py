@@ -58,7 +58,7 @@ def beliefs_ahead(
     ``sets`` are those of true states, (center, generators), at steps 1 to N. Unless it is ``known`` how far received
     states may be from true ones, no literal is taken as false.
     """
-    beliefs = tracker.pursuits[formula].after[instants.slots[rows]]
+    beliefs = tracker.formula_states[formula].after[instants.slots[rows]]
     ahead = [beliefs]
     for k, (center, generators) in enumerate(sets, 1):
         asked = tracker.asked(beliefs)

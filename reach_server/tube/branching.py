@@ -210,10 +210,10 @@ def _fewer(branches: Branches, side: SideInformation, free: Rows | None, n: int)
     within = np.ones((len(unique), branches.within.shape[1]), dtype=bool)
     np.logical_and.at(within, inverse.ravel(), branches.within)
     sets = take_rows(branches.sets, order[first])
-    for place in range(1, int(sizes.max(initial=1))):
-        rows = np.flatnonzero(sizes > place)
+    for index in range(1, int(sizes.max(initial=1))):
+        rows = np.flatnonzero(sizes > index)
         sets = replace_rows(
-            sets, rows, _around(take_rows(sets, rows), take_rows(branches.sets, order[first[rows] + place]))
+            sets, rows, _around(take_rows(sets, rows), take_rows(branches.sets, order[first[rows] + index]))
         )
     merged = np.flatnonzero(sizes > 1)
     if free is not None and len(merged):
@@ -241,7 +241,7 @@ def united(branches: Branches, tracks: Sequence[int] | Rows) -> RawSets:
     first = np.searchsorted(branches.track, wanted, side="left")
     sizes = np.searchsorted(branches.track, wanted, side="right") - first
     sets: RawSets = take_rows(branches.sets, first)
-    for place in range(1, int(sizes.max(initial=1))):
-        rows = np.flatnonzero(sizes > place)
-        sets = replace_rows(sets, rows, _around(take_rows(sets, rows), take_rows(branches.sets, first[rows] + place)))
+    for index in range(1, int(sizes.max(initial=1))):
+        rows = np.flatnonzero(sizes > index)
+        sets = replace_rows(sets, rows, _around(take_rows(sets, rows), take_rows(branches.sets, first[rows] + index)))
     return sets

@@ -31,10 +31,10 @@ def branching(
     """
     row, obligation, tested = asked
     n, count = start.center.shape[1], len(rows)
-    place = np.searchsorted(rows, row)
-    with_side = np.unique(place)
+    index = np.searchsorted(rows, row)
+    with_side = np.unique(index)
     vehicle = rows[np.concatenate([np.arange(count), with_side])]
-    track = np.concatenate([np.arange(count), count + np.searchsorted(with_side, place)])
+    track = np.concatenate([np.arange(count), count + np.searchsorted(with_side, index)])
     everything = np.concatenate([np.full(count, TRUE, dtype=np.int64), obligation])
     own = np.concatenate([np.arange(count), with_side])
     tracks = Hypotheses(vehicle, take_rows(start, vehicle), track, everything, tested[vehicle], own)

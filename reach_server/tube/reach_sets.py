@@ -72,8 +72,8 @@ class ReachSets:
         for f in fields(self)[:-1]:
             value = getattr(self, f.name)
             arrays.append(tuple(take_rows(s, rows) for s in value) if isinstance(value, tuple) else value[rows])
-        place = {row: number for number, row in enumerate(rows.tolist())}
-        arrays.append({place[row]: what for row, what in self.responsible.items() if row in place})
+        index = {row: number for number, row in enumerate(rows.tolist())}
+        arrays.append({index[row]: what for row, what in self.responsible.items() if row in index})
         return ReachSets(*arrays)
 
     @staticmethod

@@ -100,6 +100,8 @@ class SideInfoService:
         self._assignments: dict[str, int | None] = {}
         self._counters: Counter[str] = Counter(states=0, assignments=0, documents_published=0)
         self._refused_documents: Counter[str] = Counter()
+        #: The newest one that was published; any thread may read it.
+        self.newest_status: ServiceStatus | None = None
 
     def run(self, stop: Event) -> None:
         """Serve until ``stop`` is set; raise ``zenoh.ZError`` if the session is closed under it."""
@@ -126,6 +128,7 @@ class SideInfoService:
             if not next_status - _STATUS_PERIOD_NS < now < next_status:
                 status = self._status(now, started)
                 publications.put(keys.service_status(KIND, self._instance), ServiceStatus.encoding(), status.encode())
+                self.newest_status = status
                 next_status = now + _STATUS_PERIOD_NS
             if self._clock.wait(stop, _TICK):
                 return

@@ -18,6 +18,8 @@ INVALID: Final = "document_invalid"
 NOT_RAISED: Final = "document_version"
 RENAMED: Final = "document_renamed"
 UNREADABLE: Final = "document_unreadable"
+#: Why a change of a file is refused, as it is counted.
+REASONS: Final = (INVALID, NOT_RAISED, RENAMED, UNREADABLE)
 
 
 @dataclass(frozen=True, slots=True)

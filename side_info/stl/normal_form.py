@@ -56,9 +56,9 @@ class NormalForms:
         before = len(self._names)
         normal = self._known[name, True] = self.of(formula, excerpt)
         literals = list(dict.fromkeys(literals_in(normal)))
-        for place, number in enumerate(literals):
+        for index, number in enumerate(literals):
             if number >= before:
-                suffix = axes[place] if axes else str(place + 1)
+                suffix = axes[index] if axes else str(index + 1)
                 self._names[number] = name if len(literals) == 1 and not axes else f"{name}.{suffix}"
 
     def of(self, formula: Formula, excerpt: Excerpt, *, holds: bool = True) -> Normal:
@@ -85,8 +85,8 @@ class NormalForms:
         """The predicates by number, each with a name of its own."""
         names = [_shortened(name) for name in self._names]
         unique = [
-            name if names.count(name) == 1 else f"{name}#{names[: place + 1].count(name)}"
-            for place, name in enumerate(names)
+            name if names.count(name) == 1 else f"{name}#{names[: index + 1].count(name)}"
+            for index, name in enumerate(names)
         ]
         return tuple(replace(predicate, name=name) for predicate, name in zip(self._numbers, unique, strict=True))
 

@@ -1,95 +1,31 @@
 """Caches, recovery and liveliness over a real router; each pitfall of Zenoh hidden here has its test."""
 
-import gc
-import queue
-import signal
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 import zenoh
-from structlog.testing import capture_logs
 from zenoh import ext
 
 from fleet_bus.codec import check_encoding
 from fleet_bus.errors import MessageError
 from fleet_bus.pubsub import (
     CachedPublisher,
-    Declared,
     Received,
-    declare_alive,
     declare_cached_publisher,
     declare_recovering_subscriber,
     query_cache,
     subscribe,
-    watch_alive,
 )
 from fleet_bus.router import Router
 from fleet_bus.sessions import Role, open_session
+from tests.fleet_bus.publishing import ALL_STATES, ENCODING, STATE, cached, numbers_of, publishing, put_numbers
 from tests.waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.integration
-
-STATE = "fleet/a/state"
-ALL_STATES = "fleet/*/state"
-ENCODING = "application/msgpack;fleet.state.v1"
-
-
-@pytest.fixture
-def router() -> Iterator[Router]:
-    with Router(["tcp/127.0.0.1:0"]) as running:
-        yield running
-
-
-@pytest.fixture
-def service(router: Router) -> Iterator[zenoh.Session]:
-    with open_session(Role.SERVICE, router.endpoints) as session:
-        yield session
-
-
-@pytest.fixture
-def agent(router: Router) -> Iterator[zenoh.Session]:
-    with open_session(Role.AGENT, router.endpoints) as session:
-        wait_until(lambda: list(session.info.routers_zid()))
-        yield session
-
-
-def put_numbers(publisher: CachedPublisher, numbers: Sequence[int]) -> None:
-    for number in numbers:
-        publisher.put(str(number).encode())
-
-
-def numbers_of(received: Sequence[Received]) -> list[int]:
-    return [int(sample.payload) for sample in received]
-
-
-@contextmanager
-def publishing(publisher: CachedPublisher, period: float = 0.01) -> Iterator[list[int]]:
-    """Puts 0, 1, 2 … every ``period`` seconds in a thread; yields the list of what was put so far."""
-    put: list[int] = []
-    stop = threading.Event()
-
-    def work() -> None:
-        while not stop.wait(period):
-            put.append(len(put))
-            put_numbers(publisher, put[-1:])
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield put
-    finally:
-        stop.set()
-        thread.join()
-
-
-def cached(session: zenoh.Session, count: int, key: str = STATE) -> list[Received]:
-    return query_cache(session, key, max_samples=count, timeout=DEADLINE)
 
 
 def test_a_sample_carries_key_encoding_and_time_of_the_put(agent: zenoh.Session, service: zenoh.Session) -> None:
@@ -203,16 +139,28 @@ def test_past_of_a_late_publisher_that_goes_on_is_in_its_cache_only(
     assert past[: 100 + begin + 1] == list(range(-100, begin + 1))
 
 
+@contextmanager
+def outage(
+    received: list[Received], cache: int, heartbeat: float = 1.0
+) -> Iterator[tuple[tuple[str, ...], zenoh.Session, CachedPublisher]]:
+    """A publisher and a recovering subscriber whose router has gone once the first number had ``received``: where the
+    router was, the publisher's session, and the publisher."""
+    with ExitStack() as opened:
+        with Router(["tcp/127.0.0.1:0"]) as first:
+            endpoints = first.endpoints
+            service = opened.enter_context(open_session(Role.SERVICE, endpoints))
+            agent = opened.enter_context(open_session(Role.AGENT, endpoints))
+            opened.enter_context(declare_recovering_subscriber(service, ALL_STATES, received.append, history=10))
+            publisher = opened.enter_context(
+                declare_cached_publisher(agent, STATE, ENCODING, cache=cache, heartbeat=heartbeat)
+            )
+            wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
+        yield endpoints, agent, publisher
+
+
 def test_a_gap_of_a_router_outage_is_filled_in_order_once() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=1000)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher, publishing(publisher) as put:
+    with outage(received, cache=1000) as (endpoints, _, publisher), publishing(publisher) as put:
         wait_until(lambda: len(put) > 100)
         gap = len(put)
         with Router(endpoints):
@@ -223,14 +171,7 @@ def test_a_gap_of_a_router_outage_is_filled_in_order_once() -> None:
 
 def test_what_was_put_last_before_falling_silent_in_an_outage_arrives() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=100, heartbeat=0.2)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher:
+    with outage(received, cache=100, heartbeat=0.2) as (endpoints, agent, publisher):
         wait_until(lambda: not list(agent.info.routers_zid()))
         put_numbers(publisher, range(30))
         never = threading.Event()
@@ -242,14 +183,7 @@ def test_what_was_put_last_before_falling_silent_in_an_outage_arrives() -> None:
 
 def test_a_gap_longer_than_the_cache_begins_again_where_the_cache_does() -> None:
     received: list[Received] = []
-    with Router(["tcp/127.0.0.1:0"]) as first:
-        endpoints = first.endpoints
-        service = open_session(Role.SERVICE, endpoints)
-        agent = open_session(Role.AGENT, endpoints)
-        subscriber = declare_recovering_subscriber(service, ALL_STATES, received.append, history=10)
-        publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=40, heartbeat=0.2)
-        wait_until(lambda: received, meanwhile=lambda: publisher.put(b"-1"))
-    with service, agent, subscriber, publisher:
+    with outage(received, cache=40, heartbeat=0.2) as (endpoints, agent, publisher):
         wait_until(lambda: not list(agent.info.routers_zid()))
         put_numbers(publisher, range(100))
         with Router(endpoints):
@@ -279,78 +213,6 @@ def test_query_cache_of_nobody_is_empty_at_once(service: zenoh.Session) -> None:
     assert time.monotonic() - start < DEADLINE
 
 
-@contextmanager
-def agent_process(endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Another process with a token and one cached sample."""
-    program = f"""
-import sys
-from fleet_bus.pubsub import declare_alive, declare_cached_publisher
-from fleet_bus.sessions import Role, open_session
-with (
-    open_session(Role.AGENT, [{endpoint!r}]) as session,
-    declare_cached_publisher(session, {STATE!r}, "text/plain", cache=1) as publisher,
-    declare_alive(session, "fleet/a/alive"),
-):
-    publisher.put(b"0")
-    sys.stdin.read()
-"""
-    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def test_a_frozen_agent_is_gone_after_its_lease_and_delays_nobody_else(
-    router: Router, agent: zenoh.Session, service: zenoh.Session
-) -> None:
-    seen: list[tuple[str, bool]] = []
-    received: list[Received] = []
-    with (
-        watch_alive(service, "fleet/*/alive", lambda key, alive: seen.append((key, alive))),
-        declare_cached_publisher(agent, "fleet/b/state", ENCODING, cache=10) as publisher,
-        agent_process(router.endpoints[0]) as process,
-    ):
-        put_numbers(publisher, range(10))
-        wait_until(lambda: cached(service, 1) and seen)
-        process.send_signal(signal.SIGSTOP)
-        assert query_cache(service, STATE, max_samples=1, timeout=0.3) == []
-        with declare_recovering_subscriber(service, ALL_STATES, received.append, history=10):
-            wait_until(lambda: len(received) == 10)
-            put_numbers(publisher, [10])
-            wait_until(lambda: len(received) == 11)
-        wait_until(lambda: seen == [("fleet/a/alive", True), ("fleet/a/alive", False)])
-    assert {sample.key for sample in received} == {"fleet/b/state"}
-
-
-def test_watch_alive_tells_what_is_there_comes_and_goes(agent: zenoh.Session, service: zenoh.Session) -> None:
-    seen: queue.Queue[tuple[str, bool]] = queue.Queue()
-    there = declare_alive(agent, "fleet/a/alive")
-    with watch_alive(service, "fleet/*/alive", lambda key, alive: seen.put((key, alive))):
-        assert seen.get(timeout=DEADLINE) == ("fleet/a/alive", True)
-        with declare_alive(agent, "fleet/b/alive"):
-            assert seen.get(timeout=DEADLINE) == ("fleet/b/alive", True)
-        assert seen.get(timeout=DEADLINE) == ("fleet/b/alive", False)
-        there.close()
-        assert seen.get(timeout=DEADLINE) == ("fleet/a/alive", False)
-
-
-def test_a_failing_callback_is_logged_and_hears_the_next_sample(agent: zenoh.Session) -> None:
-    calls: list[bytes] = []
-
-    def fail(sample: Received) -> None:
-        calls.append(sample.payload)
-        raise ValueError("no such luck")
-
-    with capture_logs() as logs, subscribe(agent, STATE, fail):
-        agent.put(STATE, b"1")
-        agent.put(STATE, b"2")
-        wait_until(lambda: len(calls) == 2)
-    assert [(entry["event"], entry["key"], entry["log_level"]) for entry in logs] == [
-        ("callback failed", STATE, "error")
-    ]
-
-
 def test_a_delete_comes_without_an_encoding_of_ours_live_and_out_of_a_cache(
     agent: zenoh.Session, service: zenoh.Session
 ) -> None:
@@ -369,69 +231,6 @@ def test_a_delete_comes_without_an_encoding_of_ours_live_and_out_of_a_cache(
         assert received[-1].encoding == "zenoh/bytes"
         with pytest.raises(MessageError, match="encoding"):
             check_encoding(received[-1].encoding, "fleet.state", 1)
-
-
-def test_a_callback_is_not_called_once_closing_has_returned(agent: zenoh.Session) -> None:
-    began, goes_on = threading.Event(), threading.Event()
-    calls: list[bytes] = []
-    torn_down = threading.Event()
-    late: list[bytes] = []
-
-    def slow(sample: Received) -> None:
-        calls.append(sample.payload)
-        began.set()
-        goes_on.wait(10)
-        if torn_down.is_set():
-            late.append(sample.payload)
-
-    last = threading.Event()
-    with subscribe(agent, "fleet/z/state", lambda _: last.set()):
-        subscriber = subscribe(agent, STATE, slow)
-        putting = threading.Thread(target=lambda: put_all(agent, [b"1", b"2", b"3"]))
-        putting.start()
-        assert began.wait(5)
-
-        def close() -> None:
-            subscriber.close()
-            torn_down.set()
-
-        closing = threading.Thread(target=close)
-        closing.start()
-        # It waits for the call that is under way.
-        assert not torn_down.wait(0.1)
-        goes_on.set()
-        closing.join(10)
-        putting.join(10)
-        assert torn_down.is_set()
-        before = len(calls)
-        wait_until(last.is_set, meanwhile=lambda: agent.put("fleet/z/state", b""))
-    assert late == []
-    assert len(calls) == before
-
-
-def put_all(session: zenoh.Session, payloads: Sequence[bytes]) -> None:
-    for payload in payloads:
-        session.put(STATE, payload)
-
-
-def test_what_is_queued_for_a_callback_is_dropped_by_closing(agent: zenoh.Session, service: zenoh.Session) -> None:
-    seen: list[bytes] = []
-    subscribers: list[Declared] = []
-    late: list[bytes] = []
-    closed = threading.Event()
-
-    def close_at_the_first(sample: Received) -> None:
-        (late if closed.is_set() else seen).append(sample.payload)
-        subscribers[0].close()
-        closed.set()
-
-    subscribers.append(subscribe(service, STATE, close_at_the_first))
-    after = threading.Event()
-    with subscribe(service, "fleet/z/state", lambda _: after.set()):
-        wait_until(closed.is_set, meanwhile=lambda: put_all(agent, [b"x"] * 1000))
-        wait_until(after.is_set, meanwhile=lambda: agent.put("fleet/z/state", b""))
-    assert len(seen) == 1
-    assert late == []
 
 
 @contextmanager
@@ -479,32 +278,3 @@ def test_without_history_a_silent_publisher_sends_its_whole_cache(agent: zenoh.S
         with declare_recovering_subscriber(service, ALL_STATES, received.append, history=0):
             wait_until(lambda: len(received) == 50)
     assert numbers_of(received) == list(range(50))
-
-
-def test_what_is_declared_outlives_the_name_of_its_session(router: Router, service: zenoh.Session) -> None:
-    received: list[Received] = []
-    with subscribe(open_session(Role.AGENT, router.endpoints), STATE, received.append):
-        gc.collect()
-        wait_until(lambda: received, meanwhile=lambda: service.put(STATE, b"1"))
-
-
-def test_closing_ends_it_and_may_be_repeated(agent: zenoh.Session) -> None:
-    received: list[Received] = []
-    publisher = declare_cached_publisher(agent, STATE, ENCODING, cache=1)
-    subscriber = declare_recovering_subscriber(agent, STATE, received.append, history=1)
-    token = declare_alive(agent, "fleet/a/alive")
-    for declared in (subscriber, token, publisher):
-        declared.close()
-        declared.close()
-    agent.put(STATE, b"1")
-    assert not received
-    with pytest.raises(zenoh.ZError):
-        publisher.put(b"1")
-
-
-def test_closing_after_the_session_is_harmless(router: Router) -> None:
-    with open_session(Role.SERVICE, router.endpoints) as session:
-        publisher = declare_cached_publisher(session, STATE, ENCODING, cache=1)
-        subscriber = subscribe(session, STATE, lambda _: None)
-    publisher.close()
-    subscriber.close()

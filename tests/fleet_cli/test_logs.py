@@ -156,7 +156,7 @@ def test_log_and_warnings_go_to_stderr(monkeypatch: pytest.MonkeyPatch) -> None:
         log.exception("and this")
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        warnings.showwarning = logs._show_warning
+        logs.configure(logging.INFO)
         warnings.warn("and that", stacklevel=1)
     text = stream.getvalue()
     assert "x" * 30 not in text

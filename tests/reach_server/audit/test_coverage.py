@@ -115,7 +115,7 @@ def judge(record: CoverageRecord, k: int, x: float, *, jumped: bool) -> tuple[li
         np.array([[x]]), np.zeros((1, 0)),
     )  # fmt: skip
     found = record.check(batch, 1.0, NONE, (), np.array([jumped]))
-    for miss in found.misses if record._judges_bounds else ():
+    for miss in found.misses if record.alpha == 0.0 else ():
         record.refute(miss.slot)
     return found.misses, found.restored.tolist()
 
@@ -162,3 +162,15 @@ def test_jumps_count_among_the_newest_checks() -> None:
     record.jumped(0)
     record.reset(0)
     assert not any(record.jumped(0) for _ in range(FORGIVEN))
+
+
+def test_what_was_counted_of_all_vehicles_never_falls() -> None:
+    record = CoverageRecord(0.0)
+    record.grow(1)
+    for k, x in enumerate((0.0, 3.0, 0.5)):
+        judge(record, k, x, jumped=False)
+    assert (record.checked_so_far, record.inside_so_far) == (3, 2)
+    record.reset(0)
+    assert record.audit(0).checked == 0
+    judge(record, 3, 0.0, jumped=False)
+    assert (record.checked_so_far, record.inside_so_far) == (4, 3)

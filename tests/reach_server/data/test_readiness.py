@@ -5,7 +5,7 @@ import pytest
 
 from reach_server.data.readiness import samples_missing, too_few
 from reach_server.data.window import Window
-from tests.reach_server.data.test_bad_samples import circle, profile
+from tests.reach_server.data.circles import circle, profile
 
 ALL = np.array([0])
 

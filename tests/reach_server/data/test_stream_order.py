@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fleet_bus.messages import StateFlag
 from reach_server.data.stream_order import LATE_BATCHES, LATEST, RESYNC
 from reach_server.data.window import SampleBatch, Window
-from tests.reach_server.data.test_bad_samples import ALL, START, STEP, circle, run_of, window
+from tests.reach_server.data.circles import ALL, START, STEP, circle, run_of, window
 
 #: Batches of samples that agree with each other, after which the newest of them is the newest one held.
 ENOUGH = LATE_BATCHES + RESYNC + 1

@@ -13,7 +13,7 @@ from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine, PlannedInputs
 from reach_server.numeric.types import FloatArray
 from tests.reach_server.drives import PROFILE, START, SVEA, history, inside, samples_of
-from tests.reach_server.engine.test_engine import box_scenario, close_to
+from tests.reach_server.engine.engines import box_scenario, close_to
 from vehicle_agent.simulate import Drive
 
 SMALL = PROFILE.model_copy(update={"window": 120, "horizon": 2})

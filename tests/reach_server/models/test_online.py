@@ -11,7 +11,7 @@ from reach_server.data.input_sets import InputSets
 from reach_server.data.regressors import RegressorSpec, transitions
 from reach_server.data.window import Block, SampleBatch, Window
 from reach_server.models.online import REFIT_EVERY, ResidualModels
-from reach_server.models.residual_model import NoiseBounds, apply, residual_set
+from reach_server.models.residual_model import Model, NoiseBounds, apply, residual_set
 from reach_server.numeric.slot_table import take_rows
 from reach_server.numeric.types import FloatArray
 from reach_server.sets.raw import RawSets
@@ -52,6 +52,10 @@ class Stream:
         count, m = len(self.slots), self.layout.m
         zero = np.zeros((count, steps, m))
         return InputSets(np.zeros((count, self.layout.lags, m)), zero, zero + 0.05)
+
+    def model(self) -> Model:
+        """The models that tubes are computed with."""
+        return self.models.models(self.slots, self.inputs())
 
     def data(self, slot: int = 0) -> tuple[FloatArray, FloatArray]:
         """Regressors and targets that the models hold, oldest first."""
@@ -133,14 +137,14 @@ def test_moments_and_hull_stay_those_of_the_data(frame: str) -> None:
         if k < 60 or k % 7:
             continue
         z, y = stream.data()
-        moments, store = stream.models._stream, stream.models._store
+        moments, model = stream.models._stream, stream.model()
         middle = moments.center[0]
         both = np.column_stack([np.ones(len(z)), np.concatenate([z, y], axis=1) - middle])
         exact = both[:, : 1 + z.shape[1]].T @ both
         np.testing.assert_allclose(moments.moments[0], exact, atol=1e-9 * np.abs(exact).max())
-        residual = y - apply(store.matrix[:1], z[None])[0]
-        assert (moments.low[0] <= residual.min(axis=0) + 1e-12).all()
-        assert (moments.high[0] >= residual.max(axis=0) - 1e-12).all()
+        residual = y - apply(model.matrix[:1], z[None])[0]
+        assert (model.low[0] <= residual.min(axis=0) + 1e-12).all()
+        assert (model.high[0] >= residual.max(axis=0) - 1e-12).all()
         assert (moments.largest[0] >= np.abs(np.concatenate([z, y], axis=1)).max(axis=0)).all()
         assert moments.data[0] == len(z)
 
@@ -152,7 +156,7 @@ def test_the_fit_is_that_of_least_squares(frame: str) -> None:
     z, y = stream.data()
     design = np.column_stack([np.ones(len(z)), z])
     best = np.linalg.lstsq(design, y, rcond=None)[0]
-    found = stream.models._store.matrix[0]
+    found = stream.model().matrix[0]
     np.testing.assert_allclose(design @ found.T, design @ best, atol=1e-7 * np.abs(y).max())
     assert not stream.models.rank_deficient(stream.slots).any()
 
@@ -161,9 +165,9 @@ def test_models_are_fitted_again_after_some_samples_of_the_vehicle() -> None:
     stream, batch = Stream(), samples_of(history(1), 0, 200)
     fits = []
     for k in range(200):
-        before = stream.models._store.matrix[0].copy()
+        before = stream.model().matrix
         stream.feed(batch.take(np.array([k])))
-        if not np.array_equal(before, stream.models._store.matrix[0]):
+        if not np.array_equal(before, stream.model().matrix):
             fits.append(k)
     assert set(np.diff(fits[1:]).tolist()) == {REFIT_EVERY}
     assert 0 < fits[1] - fits[0] <= REFIT_EVERY

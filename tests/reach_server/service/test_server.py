@@ -3,12 +3,14 @@
 import threading
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from fleet_bus import keys
 from fleet_bus.bus import Publisher
 from fleet_bus.messages import Event, EventKind, Label, ReachTube, ServiceStatus, StateSample, VehicleProfile
 from fleet_bus.messages.state import ENCODING
+from reach_server.numeric.types import FloatArray
 from reach_server.service.server import ReachServer
 from tests.memory_bus import Network, Time
 from tests.reach_server.drives import START, SVEA, history
@@ -30,10 +32,15 @@ class Car:
         self._next = 0
 
     def drive(self, samples: int) -> None:
-        for k in range(self._next, self._next + samples):
-            sample = StateSample(1, k, START + k * SVEA.dt_ns, history(0).measured[k], history(0).inputs[k])
-            self._states.put(sample.encode())
-        self._next += samples
+        for _ in range(samples):
+            self.push(np.zeros(4))
+
+    def push(self, off: FloatArray) -> None:
+        """Publish the next sample, its state (4,) off by something."""
+        k, drive = self._next, history(0)
+        sample = StateSample(1, k, START + k * SVEA.dt_ns, drive.measured[k] + off, drive.inputs[k])
+        self._states.put(sample.encode())
+        self._next += 1
 
     def vanish(self) -> None:
         self._token.close()

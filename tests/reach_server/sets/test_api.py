@@ -6,7 +6,7 @@ Containment is tested where the operations are; here it is only that verbs, batc
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,123 +15,31 @@ import pytest
 from shapely import Polygon
 
 from reach_server.numeric.types import FloatArray
-from reach_server.sets import ConstrainedZonotope, Direction, SetError, Zonotope
+from reach_server.sets import ConstrainedZonotope, SetError, Zonotope
+from tests.reach_server.sets.verbs import (
+    ASKING,
+    BATCH,
+    CONSTRUCTION,
+    EXACT,
+    INNER,
+    KINDS,
+    MAKING,
+    OUTER,
+    SAMPLING,
+    TWO,
+    VERBS,
+    AnySet,
+    Each,
+    N,
+    Verb,
+    at,
+    both,
+    draw,
+    sets,
+)
 from tests.reach_server.ugly import Raw, assert_holds, directions, extreme, of
 
-AnySet = Zonotope | ConstrainedZonotope
-EXACT, OUTER, INNER = Direction.EXACT, Direction.OUTER, Direction.INNER
-
-KINDS: tuple[type[AnySet], ...] = (Zonotope, ConstrainedZonotope)
 PAGE = Path(__file__).parents[3] / "docs" / "concepts" / "sets.md"
-BATCH = (2, 3)
-N, G, ROWS = 2, 6, 2
-
-
-@dataclass(frozen=True, eq=False)
-class Each:
-    """An argument with one entry per set: the batch axes come first."""
-
-    array: FloatArray
-
-
-def draw(seed: int, *tail: int) -> Each:
-    return Each(np.random.default_rng(seed).normal(size=(*BATCH, *tail)))
-
-
-def sets(kind: type[AnySet], seed: int = 0, n: int = N) -> AnySet:
-    """A batch of inhabited sets; those of odd seeds overlap those of even ones."""
-    rng = np.random.default_rng([seed, n])
-    center, generators = rng.normal(size=(*BATCH, n)) / 4, rng.normal(size=(*BATCH, n, G))
-    if kind is Zonotope:
-        return Zonotope(center, generators)
-    matrix = rng.normal(size=(*BATCH, ROWS, G))
-    offset = (matrix @ rng.uniform(-0.5, 0.5, (*BATCH, G, 1)))[..., 0]
-    return ConstrainedZonotope(center, generators, matrix, offset)
-
-
-@dataclass(frozen=True, eq=False)
-class Verb:
-    """``name(**arguments)``, what it returns, and how that relates to the truth for either class.
-
-    Arguments named by ``infinite`` may be infinite.
-    """
-
-    name: str
-    arguments: Callable[[type[AnySet]], dict[str, Any]] = lambda kind: {}
-    zonotope: Direction | None = None
-    constrained: Direction | None = None
-    infinite: tuple[str, ...] = ()
-    constructor: bool = False
-
-    def __str__(self) -> str:
-        return f"{self.name}({', '.join(self.arguments(Zonotope))})"
-
-    def step(self, kind: type[AnySet]) -> Direction | None:
-        return self.zonotope if kind is Zonotope else self.constrained
-
-    def call(self, subject: AnySet | type[AnySet], arguments: dict[str, Any]) -> Any:
-        return getattr(subject, self.name)(**arguments)
-
-
-def _linearised(kind: type[AnySet]) -> dict[str, Any]:
-    low = Each(-np.abs(draw(15).array) / 10)
-    return {"J": draw(13, N), "h0": draw(14), "remainder": (low, Each(low.array + 0.3)), "r": Each(np.full(BATCH, 0.7))}
-
-
-MAKING = (
-    Verb("linear_map", lambda kind: {"matrix": draw(1, 3, N)}, EXACT, EXACT),
-    Verb("affine_map", lambda kind: {"matrix": draw(1, 3, N), "offset": draw(2, 3)}, EXACT, EXACT),
-    Verb("scale", lambda kind: {"factor": draw(3)}, EXACT, EXACT),
-    Verb("translate", lambda kind: {"offset": draw(4, N)}, EXACT, EXACT),
-    Verb("project", lambda kind: {"axes": (1,)}, EXACT, EXACT),
-    Verb("minkowski_sum", lambda kind: {"other": sets(kind, 1)}, EXACT, EXACT),
-    Verb("cartesian_product", lambda kind: {"other": sets(kind, 1, 3)}, EXACT, EXACT),
-    Verb("convex_hull", lambda kind: {"other": sets(kind, 1)}, OUTER, EXACT),
-    Verb(
-        "intersect_strip",
-        lambda kind: {"H": draw(5, N), "q": Each(draw(6).array / 4), "r": Each(np.abs(draw(7).array) / 2)},
-        OUTER, EXACT, ("r",),
-    ),
-    Verb("intersect_halfspace", lambda kind: {"H": draw(8, N), "q": Each(draw(9).array / 4)}, OUTER, EXACT, ("q",)),
-    Verb(
-        "intersect_tangents",
-        lambda kind: {"H": draw(10, 4, N), "q": Each(np.abs(draw(11, 4).array) / 2)}, OUTER, EXACT, ("q",),
-    ),
-    Verb("intersect_linearised", _linearised, OUTER, OUTER, ("r", "remainder")),
-    Verb("intersection", lambda kind: {"other": sets(kind, 1)}, OUTER, EXACT),
-    Verb("intersection", lambda kind: {"other": sets(kind, 1, 3), "matrix": draw(16, 3, N)}, OUTER, EXACT),
-    Verb("reduce_order", lambda kind: {"order": 2}, OUTER, OUTER),
-    Verb("simplify", lambda kind: {}, EXACT, EXACT),
-    Verb("enclosing_zonotope", lambda kind: {}, EXACT, OUTER),
-)  # fmt: skip
-
-
-def _ends(kind: type[AnySet]) -> dict[str, Any]:
-    return {"lower": Each(draw(20, N).array - 5), "upper": Each(draw(21, N).array + 5)}
-
-
-CONSTRUCTION = (
-    Verb("box", _ends, EXACT, EXACT, constructor=True),
-    Verb("point", lambda kind: {"x": draw(22, N)}, EXACT, EXACT, constructor=True),
-    Verb("from_interval", lambda kind: {"interval": tuple(_ends(kind).values())}, EXACT, EXACT, constructor=True),
-)
-
-ASKING = (
-    Verb("support", lambda kind: {"d": draw(30, 5, N)}),
-    Verb("interval_hull"),
-    Verb("is_empty"),
-    Verb("contains_point", lambda kind: {"x": Each(draw(31, N).array / 2)}),
-    Verb("factors_of", lambda kind: {"x": Each(draw(31, N).array / 2)}),
-    Verb("contains_set", lambda kind: {"other": sets(kind, 1)}),
-    Verb("intersects", lambda kind: {"other": sets(kind, 1)}),
-    Verb("volume"),
-    Verb("area"),
-    Verb("volume_bracket"),
-    Verb("area_bracket"),
-    Verb("polygon"),
-)
-SAMPLING = (Verb("sample", lambda kind: {"rng": np.random.default_rng(3), "count": 5}),)
-VERBS = (*CONSTRUCTION, *MAKING, *ASKING, *SAMPLING)
 #: Verbs of one class, which act on what the other does not have, or ask what the other need not be asked.
 OWN: dict[type[AnySet], tuple[Verb, ...]] = {
     Zonotope: (
@@ -156,8 +64,6 @@ ALONE: dict[type[AnySet], set[str]] = {
 #: Parameters after the common ones that only the zonotope's enclosures need; all have defaults.
 CHOICES = {"method"}
 
-both = pytest.mark.parametrize("kind", KINDS, ids=["zonotope", "constrained"])
-
 
 def verbs(*families: tuple[Verb, ...]) -> pytest.MarkDecorator:
     chosen = [verb for family in families for verb in family]
@@ -169,22 +75,6 @@ def pairs(own: dict[type[AnySet], tuple[Verb, ...]], *families: tuple[Verb, ...]
     chosen = [(kind, verb) for kind in KINDS for family in (*families, own[kind]) for verb in family]
     ids = [f"{kind.__name__}-{verb}" for kind, verb in chosen]
     return pytest.mark.parametrize(("kind", "verb"), chosen, ids=ids)
-
-
-def at(value: Any, place: Any) -> Any:
-    """What belongs to some places of the batch."""
-    if isinstance(value, Each):
-        return value.array[place]
-    if isinstance(value, Zonotope | ConstrainedZonotope):
-        arrays = {name: getattr(value, name)[place] for name in ("center", "generators")}
-        if isinstance(value, ConstrainedZonotope):
-            arrays |= {name: getattr(value, name)[place] for name in ("constraint_matrix", "constraint_offset")}
-        return replace(value, **arrays)
-    if isinstance(value, dict):
-        return {name: at(entry, place) for name, entry in value.items()}
-    if isinstance(value, tuple):
-        return tuple(at(entry, place) for entry in value)
-    return value
 
 
 def arrays(case: Raw) -> tuple[FloatArray, ...]:
@@ -383,153 +273,6 @@ def test_shared_arguments_are_taken_by_every_set(kind: type[AnySet], verb: Verb)
             assert corners_of(whole[place]).equals_exact(corners_of(single), 1e-9)
         else:
             assert_equal(whole, place, single)
-
-
-@dataclass(frozen=True, eq=False)
-class Wrong:
-    """An argument of a verb, a bad value, and what the message must say."""
-
-    verb: str
-    argument: str
-    value: Any
-    says: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return f"{self.verb}, {self.argument}: {self.says[-1]}"
-
-
-#: Verbs of two sets.
-TWO = ("minkowski_sum", "cartesian_product", "convex_hull", "intersection", "contains_set", "intersects")
-
-
-def _wrong() -> list[Wrong]:
-    nan, inf = np.nan, np.inf
-    shapes = [
-        Wrong("box", "lower", 1.0, ("()", "expected")),
-        Wrong("box", "lower", [0.0, 0.0, 0.0], ("(3,)", "(..., 2)")),
-        Wrong("box", "lower", [5.0, 0.0], ("greater",)),
-        Wrong("point", "x", 1.0, ("()", "expected")),
-        Wrong("point", "x", [], ("(0,)", "dimension")),
-        Wrong("linear_map", "matrix", np.ones((2, 5)), ("(2, 5)", "(..., …, 2)")),
-        Wrong("linear_map", "matrix", np.ones(2), ("(2,)", "(..., …, 2)")),
-        Wrong("linear_map", "matrix", np.ones((0, 2)), ("(0, 2)", "dimension")),
-        Wrong("linear_map", "matrix", np.ones((7, 1, 2)), ("(7,)", "(2, 3)")),
-        Wrong("affine_map", "offset", np.ones(5), ("(5,)", "(..., 3)")),
-        Wrong("scale", "factor", np.ones(7), ("(7,)", "(2, 3)")),
-        Wrong("translate", "offset", np.ones(5), ("(5,)", "(..., 2)")),
-        Wrong("project", "axes", (0, 2), ("(0, 2)", "2")),
-        Wrong("project", "axes", (), ("()",)),
-        Wrong("minkowski_sum", "other", sets(Zonotope, 1, 3), ("3", "2")),
-        Wrong("convex_hull", "other", sets(Zonotope, 1, 3), ("3", "2")),
-        Wrong("intersection", "other", sets(Zonotope, 1, 3), ("3", "2")),
-        Wrong("intersection", "matrix", np.ones((2, 5)), ("(2, 5)", "2")),
-        Wrong("intersection", "matrix", np.ones((3, 2)), ("(3, 2)", "2")),
-        Wrong("contains_set", "other", sets(Zonotope, 1, 3), ("3", "2")),
-        Wrong("intersects", "other", sets(Zonotope, 1, 3), ("3", "2")),
-        Wrong("intersect_strip", "H", np.ones(5), ("(5,)", "(..., 2)")),
-        Wrong("intersect_strip", "q", np.ones(7), ("(7,)", "(2, 3)")),
-        Wrong("intersect_strip", "r", np.ones(7), ("(7,)", "(2, 3)")),
-        Wrong("intersect_strip", "r", -0.5, ("negative", "-0.5")),
-        Wrong("intersect_halfspace", "H", np.ones(5), ("(5,)", "(..., 2)")),
-        Wrong("intersect_halfspace", "q", np.ones(7), ("(7,)", "(2, 3)")),
-        Wrong("intersect_tangents", "H", np.ones((4, 5)), ("(4, 5)", "(..., …, 2)")),
-        Wrong("intersect_tangents", "q", np.ones(5), ("(5,)", "(..., 4)")),
-        Wrong("intersect_linearised", "J", np.ones(5), ("(5,)", "(..., 2)")),
-        Wrong("intersect_linearised", "h0", np.ones(7), ("(7,)", "(2, 3)")),
-        Wrong("intersect_linearised", "r", -0.5, ("negative", "-0.5")),
-        Wrong("intersect_linearised", "remainder", (1.0, 0.0), ("lower", "upper")),
-        Wrong("intersect_linearised", "remainder", (nan, 1.0), ("NaN",)),
-        Wrong("from_interval", "interval", ([2.0, 0.0], [1.0, 1.0]), ("lower", "upper")),
-        Wrong("reduce_order", "order", nan, ("nan",)),
-        Wrong("reduce_order", "order", -1.0, ("-1",)),
-        Wrong("reduce_order", "method", "best", ("best", "girard")),
-        Wrong("support", "d", np.ones(2), ("(2,)", "(..., …, 2)")),
-        Wrong("support", "d", np.ones((4, 3)), ("(4, 3)", "(..., …, 2)")),
-        Wrong("support", "d", np.ones((7, 4, 2)), ("(7,)", "(2, 3)")),
-        Wrong("contains_point", "x", np.ones(3), ("(3,)", "(..., 2)")),
-        Wrong("contains_point", "x", np.ones((7, 2)), ("(7,)", "(2, 3)")),
-        Wrong("factors_of", "x", np.ones(3), ("(3,)", "(..., 2)")),
-        Wrong("polygon", "count", 2, ("2", "3")),
-        Wrong("sample", "count", -1, ("-1",)),
-        *(Wrong(name, "other", np.ones(2), ("ndarray", "Zonotope")) for name in TWO),
-        Wrong("sample", "how", "everywhere", ("everywhere", "inside")),
-    ]
-    kinds = {v.name: v for v in VERBS}
-    filled = []
-    for verb in kinds.values():
-        for name, value in verb.arguments(Zonotope).items():
-            if isinstance(value, Each):
-                bad = np.array(value.array)
-                bad.flat[0] = nan
-                filled.append(Wrong(verb.name, name, bad, ("NaN",)))
-                if name not in verb.infinite:
-                    bad = np.array(value.array)
-                    bad.flat[-1] = inf
-                    filled.append(Wrong(verb.name, name, bad, ("infinity",)))
-    return shapes + filled
-
-
-WRONG = _wrong()
-
-
-@pytest.mark.parametrize("wrong", WRONG, ids=[str(wrong) for wrong in WRONG])
-@both
-def test_bad_input_is_named(kind: type[AnySet], wrong: Wrong) -> None:
-    verb = next(v for v in VERBS if v.name == wrong.verb)
-    value = wrong.value
-    if isinstance(value, Zonotope) and kind is ConstrainedZonotope:
-        value = ConstrainedZonotope.from_zonotope(value)
-    arguments = {**at(verb.arguments(kind), ()), wrong.argument: value}
-    with pytest.raises(SetError) as raised:
-        verb.call(kind if verb.constructor else sets(kind), arguments)
-    message = str(raised.value)
-    assert re.search(rf"\b{re.escape(wrong.argument)}\b", message), message
-    for part in wrong.says:
-        assert part in message, message
-
-
-@pytest.mark.parametrize("name", ["area", "area_bracket", "polygon"])
-@both
-def test_planar_questions_ask_for_planar_sets(kind: type[AnySet], name: str) -> None:
-    with pytest.raises(SetError, match=rf"{name} needs a planar set, this one has dimension 3: project it first"):
-        getattr(sets(kind, 0, 3), name)()
-
-
-FIELDS_WRONG: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
-    ({"center": np.ones(3)}, ("generators", "(2, 3, 2, 6)", "(..., 3, …)")),
-    ({"center": np.ones(())}, ("center", "()", "(..., …)")),
-    ({"center": np.full((*BATCH, N), np.nan)}, ("center", "NaN")),
-    ({"center": np.full((*BATCH, N), np.inf)}, ("center", "infinity")),
-    ({"center": np.zeros((*BATCH, 0)), "generators": np.zeros((*BATCH, 0, G))}, ("center", "(2, 3, 0)", "dimension")),
-    ({"center": np.zeros((7, N))}, ("(7,)", "(2, 3)")),
-    ({"generators": np.full((N, G), -np.inf)}, ("generators", "infinity")),
-    ({"generators": "many"}, ("generators", "numbers")),
-    ({"direction": "exact"}, ("direction", "exact")),
-)
-
-
-@pytest.mark.parametrize(("wrong", "says"), FIELDS_WRONG, ids=[" ".join(says) for _, says in FIELDS_WRONG])
-@both
-def test_bad_fields_are_named(kind: type[AnySet], wrong: dict[str, Any], says: tuple[str, ...]) -> None:
-    with pytest.raises(SetError) as raised:
-        replace(sets(kind), **wrong)
-    assert all(part in str(raised.value) for part in says), str(raised.value)
-
-
-CONSTRAINTS_WRONG: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
-    ({"constraint_matrix": np.ones((ROWS, G + 1))}, ("constraint_matrix", "(2, 7)", "(..., …, 6)")),
-    ({"constraint_matrix": np.full((ROWS, G), np.nan)}, ("constraint_matrix", "NaN")),
-    ({"constraint_offset": np.ones(ROWS + 1)}, ("constraint_offset", "(3,)", "(..., 2)")),
-    ({"constraint_offset": np.full(ROWS, np.inf)}, ("constraint_offset", "infinity")),
-    ({"constraint_matrix": np.ones((7, 1, ROWS, G))}, ("(7, 1)", "(2, 3)")),
-)
-
-
-@pytest.mark.parametrize(("wrong", "says"), CONSTRAINTS_WRONG, ids=[" ".join(says) for _, says in CONSTRAINTS_WRONG])
-def test_bad_constraints_are_named(wrong: dict[str, Any], says: tuple[str, ...]) -> None:
-    with pytest.raises(SetError) as raised:
-        replace(sets(ConstrainedZonotope), **wrong)
-    assert all(part in str(raised.value) for part in says), str(raised.value)
 
 
 def bare(kind: Callable[..., AnySet], *shapes: tuple[int, ...], fill: float = 0.0) -> AnySet:

@@ -11,7 +11,7 @@ from reach_server.tube.branching import Tube, united
 from reach_server.tube.recursion import Recursion
 from side_info import Scenario
 from tests.reach_server.drives import SVEA, World, inside, noise
-from tests.reach_server.tube.test_branching import Side, tube_of, world_model, world_truth
+from tests.reach_server.tube.trajectories import Side, tube_of, world_model, world_truth
 
 WORLD = World()
 STEPS = 6

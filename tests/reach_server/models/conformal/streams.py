@@ -85,9 +85,9 @@ class Stream:
         self.profile = profile
         self.window = Window(profile)
         self.window.grow(vehicles)
-        self.models = ConformalPredictor(
-            profile, RegressorSpec.of(profile), self.window, profile.horizon, planned=planned
-        )
+        layout = RegressorSpec.of(profile)
+        self.spec = FeatureSpec.of(profile, layout, profile.horizon, planned=planned)
+        self.models = ConformalPredictor(profile, layout, self.window, profile.horizon, planned=planned)
         self.models.grow(vehicles)
         self.slots = np.arange(vehicles)
         for slot in range(vehicles):

@@ -43,7 +43,7 @@ def boxes_of(stream: Stream, plan: FloatArray | None = None) -> Boxes:
 @pytest.mark.parametrize("planned", [False, True])
 def test_sets_are_what_the_formulas_say(planned: bool) -> None:
     stream = Stream(CAR, planned=planned)
-    spec, model, record = stream.models._spec, stream.models._model, stream.models._record
+    spec, model, record = stream.spec, stream.models._model, stream.models._record
     x, u = drive(420, 1)
     batch = batch_of(x, u, CAR)
     stream.take(batch.take(np.arange(400)))
@@ -224,7 +224,7 @@ def test_missing_samples_are_counted() -> None:
     models = stream.models
     told = int(models.missing(stream.slots)[0])
     assert not models.ready(stream.slots)[0]
-    assert told == models.least + models._spec.reach + models._spec.horizon
+    assert told == models.least + stream.spec.reach + stream.spec.horizon
     for k in range(told):
         assert int(models.missing(stream.slots)[0]) == told - k
         stream.take(batch_of(x[k : k + 1], u[k : k + 1], CAR, first=k))

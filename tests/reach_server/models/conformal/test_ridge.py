@@ -69,7 +69,7 @@ def test_sums_carried_on_are_those_of_the_window(planned: bool) -> None:
     """Fitted once, carried over three windows with gaps: what has entered and left is what is there."""
     profile = CAR.model_copy(update={"window": 250})
     stream = Stream(profile, planned=planned)
-    spec = stream.models._spec
+    spec = stream.spec
     x, u = drive(1300, 3)
     u[700] = np.nan
     x[[400, 850]] += 0.5
