@@ -230,7 +230,7 @@ class FleetView:
             service, row = self.services.get(name), self._rows.find(vehicle)
             if service is None or row is None or now - service.at > self.stale_after:
                 continue
-            if self._rows["tube_at"][row] <= service.at:
+            if self._rows["tube_at"][row] < service.at:
                 found[vehicle] = why
         return found
 
@@ -239,7 +239,7 @@ class FleetView:
         return {
             vehicle: text
             for vehicle, (at, text) in self._refused.items()
-            if now - at <= self._window and self._rows["tube_at"][self._rows.find(vehicle) or 0] <= at
+            if now - at <= self._window and self._rows["tube_at"][self._rows.find(vehicle) or 0] < at
         }
 
     def _named(self, used: NDArray[np.intp]) -> tuple[tuple[str, ...], NDArray[np.intp]]:
