@@ -70,7 +70,7 @@ class Output:
 
     def json(self, document: Mapping[str, Any]) -> None:
         """Write a JSON object as one line; numbers that are none become null."""
-        self.text(json.dumps(_finite(document), allow_nan=False, ensure_ascii=False) + "\n")
+        self.text(json.dumps(finite(document), allow_nan=False, ensure_ascii=False) + "\n")
 
     def check(self) -> None:
         """Raise ``ReaderGoneError`` if the reader of a pipe is gone, also where there is nothing to write."""
@@ -86,13 +86,14 @@ class Output:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """A document as JSON can hold it: null for NaN and infinities."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return value
 
 
