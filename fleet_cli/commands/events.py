@@ -5,12 +5,16 @@ from typing import Annotated
 
 import typer
 
+from fleet_cli import completion
 from fleet_cli.commands.shared import DEFAULT_ROUTERS, Routers, stop_on_signals
 
 
 def events(
     vehicle: Annotated[str | None, typer.Option(help="Only of vehicles whose name this pattern fits.")] = None,
-    kind: Annotated[list[str] | None, typer.Option(help="Only of this kind; may be given more than once.")] = None,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(help="Only of this kind; may be given more than once.", autocompletion=completion.event_kinds),
+    ] = None,
     since: Annotated[
         str | None, typer.Option(help="Of the cached events those since then: 90, 10min, 2h, or a time in ISO 8601.")
     ] = None,
