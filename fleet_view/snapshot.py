@@ -175,7 +175,7 @@ class Snapshot:
         parts = []
         event = self.newest_event.get(name)
         if self.condition[index] == Condition.CONTRADICTED and event is not None:
-            parts.append(f"{event.kind}: {event.message}")
+            parts.append(f"{event.kind}: {_told(event)}")
         if self.stale[index]:
             parts.append(self._silence(index, tube))
         elif name in self.waiting:
@@ -208,6 +208,14 @@ class Snapshot:
         return any(
             s.status.kind == "reach" and self.now - s.at <= self.service_stale_after for s in self.services.values()
         )
+
+
+def _told(event: Event) -> str:
+    """What an event is about, in few words where its details have them."""
+    scenario, predicate = (event.details.get(name) for name in ("scenario", "predicate"))
+    if event.kind is EventKind.CONTRADICTION and scenario:
+        return f"{scenario} ({predicate})" if predicate else str(scenario)
+    return event.message
 
 
 def _age(snapshot: Snapshot) -> NDArray[np.float64]:

@@ -139,6 +139,11 @@ def test_a_refuted_vehicle_comes_first_with_the_event_that_told_so() -> None:
     assert row(fleet, "a").condition is row(fleet, "b").condition is Condition.CONTRADICTED
     assert row(fleet, "a").why == "miss: lay outside; rank deficient"
     assert row(fleet, "b").why == f"contradiction: left the lot; {REFUTED}"
+    details: dict[str, str | int | float | bool] = {"scenario": "lot", "predicate": "P.x1, P.x2"}
+    fleet.event("b", kind=EventKind.CONTRADICTION, details=details)
+    assert row(fleet, "b").why.startswith("contradiction: lot (P.x1, P.x2); ")
+    fleet.event("b", kind=EventKind.CONTRADICTION, details={"scenario": "lot", "predicate": ""})
+    assert row(fleet, "b").why.startswith("contradiction: lot; ")
     # A tube without the note: it has come back.
     fleet.tube("b", notes=())
     assert row(fleet, "b").condition is Condition.GUARANTEED

@@ -72,7 +72,7 @@ def test_watch_says_who_left_the_scenario(running: str, start: Start) -> None:
     lines = parsed("".join(process.lines))
     vehicle = next(line for line in lines if line.get("condition") == "contradicted")
     assert vehicle["vehicle"] == "stray"
-    assert vehicle["why"].startswith("contradiction: ")
+    assert vehicle["why"].startswith("contradiction: parking-lot (")
     assert vehicle["server"] == "reach-1"
     assert vehicle["area"] > 0
     assert vehicle["tube_age"] >= 0
