@@ -57,7 +57,8 @@ def follow(
                 lost = () if connected(session) else tuple(routers)
                 return Moment(SYSTEM.monotonic(), SYSTEM.time_ns(), lost)
 
-            if output.terminal and not once and not json:
+            # A terminal that cannot move its cursor gets what a pipe gets.
+            if output.terminal and not Console().is_dumb_terminal and not once and not json:
                 _live(feed, screen, stop, moment)
             else:
                 _plain(feed, screen, stop, moment, output, once=once, json=json)

@@ -36,7 +36,9 @@ def test_columns_are_left_out_by_what_they_matter() -> None:
     assert as_text(fitted(COLUMNS, [], [], 80), width=80).split() == ["name", "first", "second", "remark"]
 
 
-def test_nothing_that_a_terminal_obeys_is_printed() -> None:
+def test_nothing_that_a_terminal_obeys_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
     assert printable("a\x1b[2Jb\nc\x9b\u202ed") == "a\N{REPLACEMENT CHARACTER}[2Jb" + "".join(
         "\N{REPLACEMENT CHARACTER}" + c for c in ("c", "", "d")
     )

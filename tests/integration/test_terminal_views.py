@@ -110,7 +110,7 @@ def test_it_ends_quietly_with_its_reader(running: str) -> None:
 def test_on_a_terminal_the_key_q_leaves(running: str) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", PTY, "watch", "--router", running],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT, env={**os.environ, "TERM": "xterm"},
     )  # fmt: skip
     assert process.stdin is not None
     assert process.stdout is not None
