@@ -33,6 +33,15 @@ class RecordingError(UsageError, ValueError):
     """A recording that cannot be read or does not fit its profile."""
 
 
+def in_words(error: Exception) -> str:
+    """Why a file cannot be read or written, without the numbers that Python puts before it."""
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not UTF-8 text"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror[0].lower() + error.strerror[1:]
+    return str(error)
+
+
 class MessageError(FleetError, ValueError):
     """A message that cannot be accepted; ``reason`` is the name under which it is counted."""
 

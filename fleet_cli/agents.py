@@ -28,7 +28,9 @@ AgentPlan = tuple[str, VehicleProfile, Source, Filter]
 def simulated(vehicle: str, profile: VehicleProfile, route: str, seed: int, history: int) -> AgentPlan:
     """A simulated vehicle on a shipped route or a route file."""
     plan_steps = profile.horizon - 1 if profile.future_inputs == "plan" else 0
-    source = SimulatedSource(load_route(route), seed, history, plan_steps=plan_steps)
+    # What looks like a file is one.
+    chosen = Path(route) if "/" in route or route.endswith((".yaml", ".yml")) else route
+    source = SimulatedSource(load_route(chosen), seed, history, plan_steps=plan_steps)
     return vehicle, profile, source, filter_for(profile)
 
 

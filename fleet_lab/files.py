@@ -5,8 +5,12 @@ import os
 import secrets
 import stat
 from pathlib import Path
+from typing import Final
 
 from fleet_bus.errors import UsageError
+
+#: How pictures may be written.
+PICTURES: Final = (".png", ".svg", ".pdf")
 
 
 def check_writable(option: str, path: Path | None) -> None:
@@ -17,6 +21,17 @@ def check_writable(option: str, path: Path | None) -> None:
         raise UsageError(f"{option} {path}: there is no folder {path.parent}")
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
         raise UsageError(f"{option} {path}: cannot be written")
+
+
+def check_picture(option: str, path: Path | None) -> None:
+    """Raise ``UsageError`` now, rather than after minutes of work, where a picture cannot be written or drawn."""
+    if path is None:
+        return
+    if path.suffix.lower() not in PICTURES:
+        raise UsageError(
+            f"{option} {path}: cannot be drawn; choose a {', '.join(PICTURES[:-1])} or {PICTURES[-1]} file"
+        )
+    check_writable(option, path)
 
 
 def make_folder(option: str, path: Path) -> None:

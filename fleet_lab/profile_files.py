@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from fleet_bus.errors import ProfileError
+from fleet_bus.errors import ProfileError, in_words
 from fleet_bus.messages import VehicleProfile, load_profile
 from vehicle_agent import svea
 
@@ -31,7 +31,7 @@ def profile_fields(name_or_path: str) -> dict[str, Any]:
     try:
         fields = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: cannot be read: {error}") from None
+        raise ProfileError(f"{path}: cannot be read: {in_words(error)}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ProfileError(f"{path}: not YAML: {error}") from None
     if not isinstance(fields, dict):

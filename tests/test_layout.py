@@ -15,6 +15,7 @@ from reach_server import Engine
 from reach_server.methods import Claim, Method, Setup, registry
 from reach_server.methods.registry import find, forget, register, registered
 from reach_server.predicates.cut_kinds import CUT_KINDS
+from tests.docs.test_docs import PACKAGES
 from tests.reach_server.drives import PROFILE, history, samples_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,6 +43,7 @@ def loaded_by(statement: str) -> set[str]:
         ("import reach_server.service.server", {"prometheus_client"}),
         ("import vehicle_agent.metrics", {"casadi", "matplotlib", "numba", "starlette", "uvicorn", "nicegui"}),
         ("import side_info", {"zenoh"}),
+        ("import fleet_view", {"numba", "casadi", "reach_server"}),
     ],
 )
 def test_a_face_loads_only_what_it_needs(statement: str, absent: set[str]) -> None:
@@ -101,7 +103,7 @@ def test_every_way_to_cut_of_the_wire_says_what_is_different_about_it() -> None:
 
 def test_modules_of_more_than_350_lines_say_why() -> None:
     long = {}
-    for package in ("fleet_bus", "fleet_cli", "fleet_lab", "reach_server", "side_info", "vehicle_agent", "benchmarks"):
+    for package in (*PACKAGES, "benchmarks"):
         for path in (ROOT / package).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
             said = " ".join((ast.get_docstring(ast.parse(text)) or "").split())

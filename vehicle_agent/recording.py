@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fleet_bus.errors import RecordingError
+from fleet_bus.errors import RecordingError, in_words
 from fleet_bus.messages import VehicleProfile
 from fleet_bus.units import canonical
 
@@ -141,11 +141,15 @@ def load_recording(path: Path) -> Recording:
     try:
         # np.load itself leaves a file open that turns out not to be an archive.
         with path.open("rb") as file:
+            # NumPy would take it for a pickle, and advise to load that.
+            if file.read(6) != np.lib.format.MAGIC_PREFIX and not zipfile.is_zipfile(file):
+                raise RecordingError(f"{path}: cannot be read as NPZ: it is another kind of file, or cut off")
+            file.seek(0)
             arrays = _read_arrays(np.load(file, allow_pickle=False), path)
     except RecordingError:
         raise
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        raise RecordingError(f"{path}: cannot be read as NPZ: {error}") from None
+        raise RecordingError(f"{path}: cannot be read as NPZ: {in_words(error)}") from None
     state_names, state_units, input_names, input_units = (
         _texts(arrays[key], f"{path}: {key}") for key in ("x_names", "x_units", "u_names", "u_units")
     )

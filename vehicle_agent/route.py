@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fleet_bus.errors import UsageError
+from fleet_bus.errors import UsageError, in_words
 from fleet_bus.messages.documents import explain
 from fleet_bus.units import seconds
 
@@ -150,7 +150,7 @@ def load_route(name: str | Path) -> Route:
     try:
         return Route.model_validate(yaml.safe_load(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError(f"route {name}: cannot be read: {error}") from None
+        raise UsageError(f"route {name}: cannot be read: {in_words(error)}") from None
     except ValidationError as error:
         raise UsageError(f"route {name}: {explain(error)}") from None
 

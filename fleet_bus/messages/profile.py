@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from fleet_bus.errors import ProfileError
+from fleet_bus.errors import ProfileError, in_words
 from fleet_bus.messages import ranges
 from fleet_bus.messages.documents import Document, Id, explain
 from fleet_bus.messages.methods import CutMethod, Method
@@ -299,7 +299,7 @@ def load_profile(path: Path) -> VehicleProfile:
     try:
         fields = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: cannot be read: {error}") from None
+        raise ProfileError(f"{path}: cannot be read: {in_words(error)}") from None
     # Beyond its own errors, PyYAML lets through what dates that do not exist and deep nesting lead to.
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ProfileError(f"{path}: not YAML: {error}") from None

@@ -6,17 +6,24 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import UsageError
+from fleet_cli import completion
 from fleet_lab.files import check_writable, make_folder, write_json, write_text
 
 
 def calibrate(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) of one class of vehicles.")],
     profile: Annotated[
-        str | None, typer.Option(help="Profile to complete, else columns and roles are guessed from their names.")
+        str | None,
+        typer.Option(
+            help="Profile to complete, else columns and roles are guessed from their names.",
+            autocompletion=completion.profiles,
+        ),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the profile (YAML) here.")] = None,
     report: Annotated[Path | None, typer.Option(help="Folder for report.md, report.json and pictures.")] = None,
-    method: Annotated[list[str] | None, typer.Option(help="Methods to try on the runs held out.")] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Methods to try on the runs held out.", autocompletion=completion.methods)
+    ] = None,
     train_runs: Annotated[
         str | None, typer.Option(help="Runs to fit to when others are held out: even, first:0.6, 0-9,12 …")
     ] = None,

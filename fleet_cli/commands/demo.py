@@ -6,18 +6,24 @@ from typing import Annotated
 
 import typer
 
+from fleet_cli import completion
 from fleet_cli.commands.shared import stop_on_signals
-from fleet_lab.files import check_writable, write_json
+from fleet_lab.files import check_picture, check_writable, write_json
 
 
 def demo(
-    scenario: Annotated[str, typer.Option(help="parking-lot, parking-lot-motion or roundabout.")] = "parking-lot",
+    scenario: Annotated[
+        str,
+        typer.Option(help="parking-lot, parking-lot-motion or roundabout.", autocompletion=completion.demo_scenarios),
+    ] = "parking-lot",
     vehicles: Annotated[int, typer.Option(help="Simulated vehicles.", min=1, max=200)] = 4,
     stray: Annotated[int, typer.Option(help="How many of them leave the scenario.", min=0)] = 0,
-    duration: Annotated[float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0)] = 40.0,
+    duration: Annotated[
+        float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0, max=86_400.0)
+    ] = 40.0,
     headless: Annotated[bool, typer.Option(help="Print lines instead of a live table.")] = False,
-    port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.")] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of the first vehicle.")] = 1,
+    port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.", min=0, max=65535)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the first vehicle.", min=0)] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary here; '-' for stdout.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the drive and its tubes here (PNG, SVG or PDF).")] = None,
 ) -> None:
@@ -26,7 +32,7 @@ def demo(
     from fleet_cli.reports import print_summary
 
     check_writable("--json", json_file)
-    check_writable("--picture", picture)
+    check_picture("--picture", picture)
     stop = stop_on_signals()
     to_stdout = json_file is not None and str(json_file) == "-"
     run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed)

@@ -6,12 +6,13 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import UsageError
-from fleet_lab.files import check_writable, write_json
+from fleet_cli import completion
+from fleet_lab.files import check_picture, check_writable, write_json
 
 
 def evaluate(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings (NPZ) to test on.")],
-    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.")],
+    profile: Annotated[str, typer.Option(help="Shipped profile or profile file.", autocompletion=completion.profiles)],
     train: Annotated[
         list[Path] | None, typer.Option(help="Recordings to train on, else the first part of each.")
     ] = None,
@@ -23,7 +24,9 @@ def evaluate(
     run_seconds: Annotated[
         float | None, typer.Option(help="Cut longer segments into runs of this many seconds.", min=0.1, max=1e6)
     ] = None,
-    method: Annotated[list[str] | None, typer.Option(help="Methods to set side by side.")] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Methods to set side by side.", autocompletion=completion.methods)
+    ] = None,
     horizon: Annotated[int | None, typer.Option(help="Steps, instead of the profile's.")] = None,
     inputs: Annotated[str, typer.Option(help="recorded, limits, rate or learned.")] = "recorded",
     frozen: Annotated[bool, typer.Option("--frozen", help="Learn nothing from tested samples.")] = False,
@@ -43,7 +46,7 @@ def evaluate(
     if horizon is not None and not 1 <= horizon <= 200:
         raise UsageError(f"--horizon {horizon} must lie between 1 and 200")
     check_writable("--json", json_file)
-    check_writable("--picture", picture)
+    check_picture("--picture", picture)
     chosen = find_profile(profile)
     loaded = [load_recording(path) for path in recordings]
     training = [load_recording(path) for path in train or []]

@@ -10,7 +10,7 @@ from fleet_cli.commands.shared import stop_on_signals
 
 
 def router(
-    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 7447,
+    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.", min=0, max=65535)] = 7447,
     listen: Annotated[list[str] | None, typer.Option(help="Endpoints to listen on, instead of --port.")] = None,
     config: Annotated[Path | None, typer.Option(help="Zenoh configuration file (JSON5).")] = None,
 ) -> None:

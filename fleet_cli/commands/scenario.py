@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import ScenarioError
-from fleet_lab.files import write_json
+from fleet_cli import completion
+from fleet_lab.files import check_picture, check_writable, write_json
 
 SampleTime = Annotated[
     float | None, typer.Option("--sample-time", help="Of the vehicles' samples, s.", min=1e-4, max=60.0)
@@ -20,6 +21,7 @@ def scenario_list(
     from fleet_cli.scenario_files import describe
     from side_info.documents.scenario import Scenario, shipped
 
+    check_writable("--json", json_file)
     found = {name: describe(Scenario.load(name)) for name in shipped()}
     if str(json_file) != "-":
         width = max(map(len, found), default=0)
@@ -29,8 +31,12 @@ def scenario_list(
 
 
 def scenario_check(
-    scenarios: Annotated[list[str], typer.Argument(help="Shipped scenarios or scenario files.")],
-    profile: Annotated[str | None, typer.Option(help="Profile whose states the scenario must fit.")] = None,
+    scenarios: Annotated[
+        list[str], typer.Argument(help="Shipped scenarios or scenario files.", autocompletion=completion.scenarios)
+    ],
+    profile: Annotated[
+        str | None, typer.Option(help="Profile whose states the scenario must fit.", autocompletion=completion.profiles)
+    ] = None,
     sample_time: SampleTime = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found here; '-' for stdout.")] = None,
 ) -> None:
@@ -38,6 +44,7 @@ def scenario_check(
     from fleet_cli import scenario_files
     from fleet_lab.profile_files import find_profile
 
+    check_writable("--json", json_file)
     chosen = find_profile(profile) if profile is not None else None
     checked, errors = scenario_files.check(scenarios, chosen, sample_time)
     if str(json_file) != "-":
@@ -51,7 +58,9 @@ def scenario_check(
 
 
 def scenario_show(
-    scenario: Annotated[str, typer.Argument(help="Shipped scenario or scenario file.")],
+    scenario: Annotated[
+        str, typer.Argument(help="Shipped scenario or scenario file.", autocompletion=completion.scenarios)
+    ],
     sample_time: Annotated[float, typer.Option(help="Of the vehicles' samples, s.", min=1e-4, max=60.0)] = 0.05,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Draw it here (PNG, SVG or PDF).")] = None,
 ) -> None:
@@ -60,6 +69,7 @@ def scenario_show(
     from fleet_cli.scenario_activity import activity
     from fleet_cli.scenario_report import print_scenario
 
+    check_picture("-o", output)
     checked, errors = scenario_files.check([scenario], None, sample_time)
     if errors:
         raise errors[0]

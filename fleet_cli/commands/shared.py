@@ -1,6 +1,7 @@
 """What commands that work on a bus have in common."""
 
 import _thread
+import math
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fleet_bus.errors import UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 from fleet_cli import logs
 
@@ -23,6 +25,12 @@ Metrics = Annotated[
 ]  # fmt: skip
 Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
 DEFAULT_ROUTERS = [DEFAULT_ROUTER]
+
+
+def check_speed(speed: float) -> None:
+    """Raise ``UsageError`` for a speed at which no time can pass."""
+    if not (speed > 0 and math.isfinite(speed)):
+        raise UsageError(f"--speed {speed} must be positive: 1 is real time")
 
 
 def stop_on_signals() -> threading.Event:

@@ -5,12 +5,15 @@ from typing import Annotated
 import typer
 
 from fleet_bus.errors import UsageError
-from fleet_cli import logs
+from fleet_cli import completion, logs
 from fleet_cli.commands.shared import DEFAULT_ROUTERS, Metrics, Routers, prometheus_endpoint, stop_on_signals
 
 
 def side_info(
-    scenarios: Annotated[list[str] | None, typer.Argument(help="Shipped scenarios or scenario files.")] = None,
+    scenarios: Annotated[
+        list[str] | None,
+        typer.Argument(help="Shipped scenarios or scenario files.", autocompletion=completion.scenarios),
+    ] = None,
     assign: Annotated[
         list[str] | None, typer.Option(help="VEHICLE=SCENARIO; '*' stands for every vehicle that is seen.")
     ] = None,
