@@ -44,12 +44,12 @@ LONGEST_LIFETIME: Final = 300 * 10**9
 #: Stamps of Foxglove have 32 bits for seconds: they end in February 2106.
 LATEST: Final = 2**32 * 10**9
 
-#: Colours that the colour-blind tell apart (Okabe and Ito).
+#: Red, green and blue of each label: #1b7837, #2166ac, #e08214, #b2182b.
 COLORS: Final[Mapping[Label, tuple[float, float, float]]] = {
-    Label.GUARANTEED: (0.0, 0.62, 0.45),
-    Label.CALIBRATED: (0.34, 0.71, 0.91),
-    Label.UNCOVERED: (0.90, 0.62, 0.0),
-    Label.CONTRADICTED: (0.84, 0.37, 0.0),
+    Label.GUARANTEED: (27 / 255, 120 / 255, 55 / 255),
+    Label.CALIBRATED: (33 / 255, 102 / 255, 172 / 255),
+    Label.UNCOVERED: (224 / 255, 130 / 255, 20 / 255),
+    Label.CONTRADICTED: (178 / 255, 24 / 255, 43 / 255),
 }
 _REGION_COLOR: Final = (0.6, 0.6, 0.6)
 #: Opacity of the first and of the last outline, and of what is filled.

@@ -26,7 +26,7 @@ def vehicle_frame(vehicle: str) -> str:
 
 
 class SceneMessage(NamedTuple):
-    """A message as Foxglove gets it and as MCAP keeps it."""
+    """A message as Foxglove gets it, with all that a recording keeps of its schema."""
 
     topic: str
     schema_name: str
