@@ -1,8 +1,10 @@
 """The server that Foxglove connects to: reads the bus once, shows the newest of each vehicle at a stated rate."""
 
+import logging
 import threading
 from collections import deque
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Final, Self
 
 import foxglove
@@ -27,6 +29,28 @@ MOST_WAITING: Final = 20_000
 #: Log entries kept while nobody looks, and seconds after which a latecomer gets what lasts.
 KEPT_LOGS: Final = 200
 AGAIN_SECONDS: Final = 1.0
+#: Seconds for which states may be ahead of their profile before that is told.
+PROFILE_SECONDS: Final = 3.0
+
+
+class _Forward(logging.Handler):
+    """Lets what Foxglove's SDK says go where the log of this process goes, which holds up nobody."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = "warning" if record.levelno >= logging.WARNING else "debug"
+        getattr(_log, level)("foxglove says", message=record.getMessage()[:300])
+
+
+@contextmanager
+def _forwarded() -> Iterator[None]:
+    logger, handler = logging.getLogger("foxglove"), _Forward()
+    propagated, logger.propagate = logger.propagate, False
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagated
 
 
 class Bridge:
@@ -59,6 +83,7 @@ class Bridge:
         self._again = -float("inf")
         self._unseen: deque[SceneMessage] = deque(maxlen=KEPT_LOGS)
         self._channels: dict[str, foxglove.Channel] = {}
+        self._unknown_since: dict[str, float] = {}
         self._server: foxglove.websocket.WebSocketServer | None = None
         self._open = ExitStack()
         self.rejections = Rejections()
@@ -66,6 +91,7 @@ class Bridge:
 
     def __enter__(self) -> Self:
         with ExitStack() as opening:
+            opening.enter_context(_forwarded())
             server = self._start_server()
             opening.callback(server.stop)
             # Profiles first: states mean nothing without them.
@@ -103,8 +129,14 @@ class Bridge:
                 for message in self._scene.scene_messages(received, wanted):
                     self._show(message, received.key)
             except MessageError as error:
-                self.rejections.count(error, received.key)
+                if error.reason != "no_profile" or self._unknown_for(received.key) > PROFILE_SECONDS:
+                    self.rejections.count(error, received.key)
         self._show_again()
+
+    def _unknown_for(self, key: str) -> float:
+        """Seconds since the first state on ``key`` that had no profile: two keys come in any order."""
+        now = self._clock.monotonic()
+        return now - self._unknown_since.setdefault(key, now)
 
     def _show(self, message: SceneMessage, key: str) -> None:
         channel = self._channels[message.topic]

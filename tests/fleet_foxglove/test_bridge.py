@@ -1,5 +1,6 @@
 """The server, looked at by clients that share no code with Foxglove's SDK; the bus is in memory."""
 
+import logging
 import socket
 import threading
 from collections.abc import Iterator
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import structlog
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -110,10 +112,35 @@ def test_what_a_stranger_puts_on_a_key_hides_nothing_and_is_counted() -> None:
         network.deliver(received.received(key, b"\xc1", tube_message.ENCODING, "stranger"))
         network.deliver(received.received(key, a_tube().encode(), "application/msgpack;fleet.tube.v2", "newer"))
         network.deliver(received.tube(a_tube(vehicle="svea2", t=2**32 * 10**9)))
-        network.deliver(received.state("svea3", a_sample()))
         bridge.turn()
         assert client.next().content["entities"][0]["id"] == "tube/svea1"
-    assert bridge.rejections.snapshot() == {"malformed": 1, "version": 1, "range": 1, "no_profile": 1}
+    assert bridge.rejections.snapshot() == {"malformed": 1, "version": 1, "range": 1}
+
+
+def test_states_may_come_a_little_before_their_profile() -> None:
+    network = Network()
+    with bridged(network) as bridge, watching(bridge, topics.TRANSFORMS) as client:
+        network.deliver(received.state("svea1", a_sample()))
+        network.deliver(received.state("svea2", a_sample()))
+        bridge.turn()
+        network.time.now += bridge_module.PROFILE_SECONDS + 0.1
+        network.deliver(received.document(keys.profile("svea1"), a_profile()))
+        network.deliver(received.state("svea1", a_sample()))
+        network.deliver(received.state("svea2", a_sample()))
+        bridge.turn()
+        assert client.next().content["child_frame_id"] == "vehicle/svea1"
+    assert bridge.rejections.snapshot() == {"no_profile": 1}
+
+
+def test_what_the_sdk_says_goes_to_the_log_of_the_process() -> None:
+    with structlog.testing.capture_logs() as logged:
+        with bridged(Network()) as bridge:
+            with pytest.raises(InvalidStatus):
+                connect(f"ws://127.0.0.1:{bridge.port}", open_timeout=DEADLINE)
+            wait_until(lambda: logged)
+    assert "handshake failed" in logged[0]["message"]
+    assert logging.getLogger("foxglove").handlers == []
+    assert logging.getLogger("foxglove").propagate
 
 
 def test_the_frame_of_a_vehicle_comes_before_what_stands_in_it() -> None:
