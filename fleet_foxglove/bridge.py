@@ -114,8 +114,11 @@ class Bridge:
 
     def run(self, stop: threading.Event) -> None:
         """Take a turn at the stated rate until ``stop`` is set; a turn that takes longer than that delays the next."""
-        while not self._clock.wait(stop, self._period):
+        due = self._clock.monotonic() + self._period
+        while not self._clock.wait(stop, max(due - self._clock.monotonic(), 0.0)):
             self.turn()
+            # What was missed is not made up for: what came meanwhile is shown in one turn.
+            due = max(due + self._period, self._clock.monotonic())
 
     def turn(self) -> None:
         """Show what has come since the last turn: what is rare in order, of what is frequent the newest."""

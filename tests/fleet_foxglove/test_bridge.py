@@ -26,7 +26,7 @@ from tests.fleet_bus.messages.examples import T0, a_profile, a_sample, a_tube
 from tests.fleet_foxglove import received
 from tests.fleet_foxglove.client import Client, connected
 from tests.fleet_foxglove.test_scene import lot
-from tests.memory_bus import Network
+from tests.memory_bus import MemoryBus, MemoryHandle, Network
 from tests.waiting import DEADLINE, wait_until
 
 
@@ -219,20 +219,53 @@ def test_a_client_that_takes_nothing_keeps_nobody_waiting(monkeypatch: pytest.Mo
             assert about["sample"] == f"3/{turns - 1}"
 
 
-def test_it_takes_turns_at_its_rate_until_it_is_stopped() -> None:
+def test_it_takes_turns_at_its_rate_until_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     network = Network()
     stop = threading.Event()
     turns: list[float] = []
+    # How long each turn takes: less than its time, more, and less again.
+    lengths = [0.02, 0.01, 0.12, 0.02, 0.0]
 
-    def on_wait(now: float) -> None:
-        turns.append(now)
-        if len(turns) == 5:
+    def turn(self: Bridge) -> None:
+        turns.append(network.time.now)
+        network.time.now += lengths[len(turns) - 1]
+        if len(turns) == len(lengths):
             stop.set()
 
-    network.time.on_wait = on_wait
+    monkeypatch.setattr(Bridge, "turn", turn)
     with bridged(network, rate=20.0) as bridge:
         bridge.run(stop)
-    assert np.allclose(turns, 0.05 * np.arange(1, 6))
+    assert np.allclose(turns, [0.05, 0.10, 0.15, 0.27, 0.32])
+
+
+class BrokenBus(MemoryBus):
+    """Fails at the subscription with number ``fails_at``, from 1."""
+
+    fails_at = 0
+
+    def subscriber(self, *arguments: Any, **options: Any) -> MemoryHandle:
+        self.fails_at -= 1
+        if self.fails_at == 0:
+            raise SessionError("the session is closed")
+        return super().subscriber(*arguments, **options)
+
+
+def test_a_start_that_fails_at_any_step_leaves_nothing_open() -> None:
+    network = Network()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    for fails_at in range(1, 7):
+        bus = BrokenBus(network, "one")
+        bus.fails_at = fails_at
+        with pytest.raises(SessionError, match="the session is closed"):
+            with Bridge(bus, port=port):
+                pytest.fail("it began")
+        assert network.subscribers == {}
+        assert logging.getLogger("foxglove").handlers == []
+    # Its port was given back each time.
+    with Bridge(BrokenBus(network, "one"), port=port) as bridge:
+        assert bridge.port == port
 
 
 def test_too_many_messages_at_once_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
