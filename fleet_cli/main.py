@@ -19,6 +19,7 @@ from fleet_cli.commands.calibrate import calibrate
 from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
 from fleet_cli.commands.events import events
+from fleet_cli.commands.foxglove import foxglove
 from fleet_cli.commands.paper import paper
 from fleet_cli.commands.reach import reach
 from fleet_cli.commands.replay import replay
@@ -72,5 +73,5 @@ app.command("side-info")(side_info)
 scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
-for command in (agent, replay, watch, top, events, evaluate, calibrate, paper, bench, demo):
+for command in (agent, replay, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo):
     app.command()(command)

@@ -44,6 +44,9 @@ def loaded_by(statement: str) -> set[str]:
         ("import vehicle_agent.metrics", {"casadi", "matplotlib", "numba", "starlette", "uvicorn", "nicegui"}),
         ("import side_info", {"zenoh"}),
         ("import fleet_view", {"numba", "casadi", "reach_server"}),
+        ("import fleet_foxglove.topics", {"foxglove", "numpy", "zenoh"}),
+        ("import fleet_foxglove.scene", {"casadi", "numba", "side_info", "reach_server"}),
+        ("import fleet_cli.main", {"foxglove"}),
     ],
 )
 def test_a_face_loads_only_what_it_needs(statement: str, absent: set[str]) -> None:

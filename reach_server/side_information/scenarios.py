@@ -130,7 +130,10 @@ class Assignments:
     def _release(self) -> None:
         """Forget the predicates that no scenario in force asks for, once they are many."""
         live = {
-            literal for t in self._trackers.values() for state in t.formula_states.values() for literal in state.literals
+            literal
+            for t in self._trackers.values()
+            for state in t.formula_states.values()
+            for literal in state.literals
         }
         if self.literals.held > len(live) + MOST_UNUSED:
             # What the old table and what was scheduled by it say about the numbers must not outlive their meaning.
