@@ -5,7 +5,7 @@ import pytest
 
 from reach_server.side_information.scenarios import MOST_UNUSED
 from tests.reach_server.scenarios import scenario
-from tests.reach_server.side_information.test_scenarios import OUTSIDE, START, STEP, Watched, box
+from tests.reach_server.side_information.watched import OUTSIDE, START, STEP, Watched, box
 
 
 def test_what_replaced_documents_asked_for_is_forgotten() -> None:
