@@ -16,7 +16,7 @@ ARGS ?=
 WORKERS := 2
 PYTEST = $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo paper test test-fast coverage wheel campaign lint bench docs requirements clean kernels all-kernels
+.PHONY: help demo paper test test-fast coverage wheel dist campaign lint bench docs requirements clean kernels all-kernels
 
 help:
 	@echo "make demo          router, services and simulated vehicles on this machine"
@@ -24,6 +24,7 @@ help:
 	@echo "make test          lint, documentation, tests"
 	@echo "make test-fast     tests that need neither processes in real time nor more than a few seconds"
 	@echo "make coverage      all tests, and how much of the code they run"
+	@echo "make dist          source distribution and wheels into dist/, one with machine code of the kernels"
 	@echo "make wheel         build the wheel, install it into a fresh environment, run it there"
 	@echo "make campaign      every property on 1000 examples from a fresh seed; FLEET_TEST_EXAMPLES=100000 and"
 	@echo "                   FLEET_TEST_SEED=N say otherwise, ARGS goes to pytest"
@@ -51,6 +52,10 @@ coverage: $(VENV)/.dev all-kernels
 
 wheel: $(VENV)/.dev
 	@$(BIN)/python .ci/wheel.py
+
+# A wheel with machine code of the kernels starts without compiling anything.
+dist: $(VENV)/.dev
+	@$(BIN)/python .ci/wheel.py dist
 
 campaign: $(VENV)/.dev all-kernels
 	@FLEET_TEST_SEED="$${FLEET_TEST_SEED:-fresh}" FLEET_TEST_EXAMPLES="$${FLEET_TEST_EXAMPLES:-1000}" \

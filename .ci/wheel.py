@@ -1,4 +1,8 @@
-"""Build the wheel, install it into a fresh environment, and run it from an empty folder: all that it needs is in it."""
+"""Build the wheel, install it into a fresh environment, and run it from an empty folder: all that it needs is in it.
+
+``wheel.py FOLDER`` makes what is handed on: a source distribution, a wheel for every platform, and one for this Python
+on Linux and x86-64 that brings machine code of the kernels along.
+"""
 
 import os
 import shutil
@@ -29,17 +33,50 @@ def files() -> set[str]:
     return {path.relative_to(ROOT).as_posix() for path in found if path.parent.name != "__pycache__"}
 
 
-def build(folder: Path) -> Path:
-    """Path of the wheel. It is built from a copy: what an older build has left in this tree is not in it."""
+def copied(folder: Path) -> Path:
+    """A copy of the sources: what an older build has left in this tree is not in it."""
     source = folder / "source"
     for package in PACKAGES:
-        shutil.copytree(package, source / package.name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "LICENSE"):
+        shutil.copytree(package, source / package.name, ignore=shutil.ignore_patterns("__pycache__", "machine_code"))
+    for name in ("pyproject.toml", "LICENSE", "README.md"):
         shutil.copy(ROOT / name, source)
+    return source
+
+
+def build(source: Path, folder: Path, *options: str) -> Path:
+    """Path of the wheel."""
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    run(*pip, "wheel", "-q", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, source, cwd=folder)
-    (wheel,) = folder.glob("*.whl")
+    settings = [f"--config-settings=--build-option={option}" for option in options]
+    folder.mkdir(exist_ok=True)
+    before = set(folder.glob("*.whl"))
+    words = ("wheel", "-q", "--no-deps", "--no-index", "--no-build-isolation", *settings, "-w", folder, source)
+    run(*pip, *words, cwd=folder)
+    (wheel,) = set(folder.glob("*.whl")) - before
     return wheel
+
+
+def distribute(output: Path) -> int:
+    """Write the distributions to ``output``; their names are printed."""
+    output.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        source = copied(folder)
+        made = [build(source, folder / "plain")]
+        script = "import sys; from setuptools import build_meta; print(build_meta.build_sdist(sys.argv[1]))"
+        run(sys.executable, "-c", script, folder / "plain", cwd=source)
+        made += (folder / "plain").glob("*.tar.gz")
+        code = source / "reach_server" / "numeric" / "machine_code"
+        environment = {**os.environ, "PYTHONPATH": str(source)}
+        subprocess.run(
+            [sys.executable, ROOT / ".ci" / "machine_code.py", code], cwd=folder, env=environment, check=True
+        )
+        shutil.rmtree(source / "build", ignore_errors=True)
+        tag = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+        made.append(build(source, folder / "native", f"--python-tag={tag}", "--plat-name=linux_x86_64"))
+        for path in made:
+            shutil.copy(path, output)
+            print(f"{output / path.name}: {path.stat().st_size / 2**20:.1f} MB")
+    return 0
 
 
 def install(wheel: Path, environment: Path) -> Path:
@@ -58,7 +95,7 @@ def main() -> int:
     """0 if everything is in the wheel and runs; else what is wrong is printed."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        wheel = build(folder)
+        wheel = build(copied(folder), folder / "wheels")
         missing = files() - set(zipfile.ZipFile(wheel).namelist())
         if missing:
             sys.exit(f"not in {wheel.name}: {', '.join(sorted(missing))}")
@@ -78,4 +115,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(distribute(Path(sys.argv[1]).resolve()) if sys.argv[1:] else main())

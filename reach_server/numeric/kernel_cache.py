@@ -9,8 +9,6 @@ for a unit with ``CacheDirectory=``; ``XDG_CACHE_HOME``; ``~/.cache``. Checkouts
 Where none can be written, each process compiles its kernels anew, and a warning says so.
 """
 
-import ast
-import hashlib
 import os
 import shutil
 import tempfile
@@ -20,59 +18,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-import numba
-import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 from numba.core.registry import cpu_target
 
+from reach_server.numeric.shipped_code import ShippedCode, usable
+from reach_server.numeric.source_key import source_key
+
 #: Versions of one file's kernels that are kept; the least recently used go first.
 KEPT_VERSIONS: Final = 8
-_PACKAGE: Final = __name__.partition(".")[0]
-_PACKAGES_FOLDER: Final = Path(__file__).resolve().parents[__name__.count(".")]
 
 
 class KernelCacheWarning(UserWarning):
     """Compiled kernels cannot be kept: each process compiles them anew."""
-
-
-@cache
-def source_key(path: Path) -> str:
-    """Hash of a file, of all files of this package that it imports, and of the versions of Numba and NumPy."""
-    digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
-    for source in sorted({path, *_imported(path)}):
-        digest.update(b"\0" + source.name.encode() + b"\0" + source.read_bytes())
-    return digest.hexdigest()[:20]
-
-
-def _imported(path: Path) -> set[Path]:
-    """Files of this package that a file imports, directly or not."""
-    found: set[Path] = set()
-    waiting = [path]
-    while waiting:
-        new = set(_imports(waiting.pop())) - found
-        found |= new
-        waiting += new
-    return found
-
-
-@cache
-def _imports(path: Path) -> tuple[Path, ...]:
-    """Files of this package that the import statements of a file name, wherever they stand in it."""
-    found: list[Path | None] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.Import):
-            found += [_file(alias.name) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            # What is no module of a package is a name in its __init__.
-            found += [_file(f"{node.module}.{alias.name}") or _file(node.module) for alias in node.names]
-    return tuple(file for file in found if file is not None)
-
-
-def _file(module: str) -> Path | None:
-    if module.partition(".")[0] != _PACKAGE:
-        return None
-    base = _PACKAGES_FOLDER.joinpath(*module.split("."))
-    return next((file for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()), None)
 
 
 @cache
@@ -152,28 +109,49 @@ class _SourceKeyedCache(FunctionCache):
     def __init__(self, py_func: Any) -> None:
         super().__init__(py_func)  # type: ignore[no-untyped-call]
 
-    def holds(self, argument_types: tuple[Any, ...]) -> bool:
-        """Whether machine code for these types of arguments is there."""
-        key = self._index_key(argument_types, cpu_target.target_context.codegen())  # type: ignore[no-untyped-call]
-        return key in self._cache_file._load_index()  # type: ignore[no-untyped-call]
-
     def save_overload(self, sig: Any, data: Any) -> None:
         # A full disk costs a compilation in the next process; it is no reason to fail.
         with suppress(OSError):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
+class _Caches(NullCache):
+    """Shipped code first, then what was compiled on this machine; both may be missing."""
+
+    def __init__(self, py_func: Any) -> None:
+        path = Path(py_func.__code__.co_filename).resolve()
+        self._shipped: FunctionCache | None = None
+        self._own: FunctionCache | None = None
+        if path.is_file():
+            self._shipped = ShippedCode(py_func) if usable() else None
+            self._own = _SourceKeyedCache(py_func) if _version_folder(path) is not None else None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        for one in (self._shipped, self._own):
+            if one is not None:
+                found = one.load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+                if found is not None:
+                    return found
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        if self._own is not None:
+            self._own.save_overload(sig, data)  # type: ignore[no-untyped-call]
+
+    def holds(self, argument_types: tuple[Any, ...]) -> bool:
+        """Whether machine code for these types of arguments is there."""
+        codegen = cpu_target.target_context.codegen()
+        caches: list[Any] = [one for one in (self._shipped, self._own) if one is not None]
+        return any(one._index_key(argument_types, codegen) in one._cache_file._load_index() for one in caches)
+
+
 def keep(dispatcher: Any) -> Any:
     """A kernel that Numba has not compiled yet, made to keep its machine code here. Returns it."""
-    path = Path(dispatcher.py_func.__code__.co_filename).resolve()
-    known = path.is_file() and _version_folder(path) is not None
     # Numba offers its own cache by a flag only; this is the attribute which that flag sets.
-    dispatcher._cache = _SourceKeyedCache(dispatcher.py_func) if known else NullCache()
+    dispatcher._cache = _Caches(dispatcher.py_func)
     return dispatcher
 
 
 def is_kept(dispatcher: Any, argument_types: tuple[Any, ...]) -> bool:
-    """Whether a kernel's machine code for some types of arguments is in the cache; it may be out of date no more than
-    its sources are."""
-    cache = dispatcher._cache
-    return isinstance(cache, _SourceKeyedCache) and cache.holds(argument_types)
+    """Whether a kernel's machine code for some types of arguments is there, as its sources are now."""
+    return bool(dispatcher._cache.holds(argument_types))

@@ -1,15 +1,18 @@
 """Machine code belongs to the sources that it was made of, wherever it is kept."""
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import pytest
 
 import reach_server
 from reach_server.numeric.kernel_cache import KEPT_VERSIONS
+from reach_server.numeric.shipped_code import FEATURES
 
 ROOT = Path(reach_server.__file__).parents[1]
 AREA = """
@@ -92,3 +95,27 @@ def test_old_versions_are_removed(copy: Path) -> None:
         area(copy, FLEET_KERNEL_CACHE=str(cache))
     (own,) = (cache / "fleet-reach" / "kernels").glob("sets.polygon")
     assert len(list(own.iterdir())) == KEPT_VERSIONS
+
+
+@pytest.mark.slow
+def test_code_that_a_wheel_brings_is_used_as_long_as_its_sources_are_those(copy: Path) -> None:
+    code = copy / "reach_server" / "numeric" / "machine_code"
+    environment = {**os.environ, "PYTHONPATH": f"{copy}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, str(ROOT / ".ci" / "machine_code.py"), str(code), "reach_server.sets.polygon:_area_rows"]
+    done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=True)
+    assert "machine code of 1 kernels for x86-64-v3" in done.stdout
+    cache, nowhere = str(copy / "cache"), str(copy / "reach_server" / "py.typed")
+    # A processor without the baseline compiles, as everybody did before.
+    misses = 0 if usable_here() else 1
+    assert area(copy, FLEET_KERNEL_CACHE=cache)[:2] == (4.0, misses)
+    assert area(copy, FLEET_KERNEL_CACHE=cache, FLEET_SHIPPED_CODE="0")[:2] == (4.0, 1)
+    value, compiled, _ = area(copy, FLEET_KERNEL_CACHE=nowhere, HOME=nowhere, XDG_CACHE_HOME=nowhere)
+    assert (value, compiled) == (4.0, 0) if misses == 0 else value == 4.0
+    called = copy / "reach_server" / "sets" / "kernels" / "planar.py"
+    called.write_text(called.read_text().replace("    return 4.0 * total\n", "    return 400.0 * total\n", 1))
+    assert area(copy, FLEET_KERNEL_CACHE=cache)[:2] == (400.0, 1)
+
+
+def usable_here() -> bool:
+    found = llvm.get_host_cpu_features()
+    return platform.machine() == "x86_64" and all(found.get(feature, False) for feature in FEATURES)
