@@ -15,6 +15,9 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PINNED = ROOT / "requirements" / "runtime.txt"
+#: Those beside the one that all else is tried with.
+NEWER = ("3.12", "3.13", "3.14")
 PACKAGES = tuple(sorted(path.parent for path in ROOT.glob("*/__init__.py")))
 
 
@@ -91,6 +94,37 @@ def install(wheel: Path, environment: Path) -> Path:
     return commands
 
 
+def try_other_pythons(wheel: Path, folder: Path) -> None:
+    """Install the wheel with its pinned dependencies for each newer Python on this machine, and import all of it."""
+    uv = Path(sys.executable).with_name("uv")
+    if not uv.exists():
+        print("other Pythons: not tried, there is no uv")
+        return
+    modules = sorted(name.removesuffix(".py").replace("/", ".") for name in files() if name.endswith(".py"))
+    wanted = [name for name in modules if name.partition(".")[0] not in ("benchmarks", "fleet_cli")]
+    script = "import importlib, sys\nfor name in sys.argv[1:]: importlib.import_module(name)"
+    for version in NEWER:
+        found = subprocess.run(
+            [uv, "python", "find", "--no-python-downloads", "--no-project", "--system", version],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if found.returncode:
+            print(f"Python {version}: not on this machine")
+            continue
+        environment = folder / version
+        run(uv, "venv", "--quiet", "--python", found.stdout.strip(), environment, cwd=folder)
+        subprocess.run(
+            [ROOT / ".ci" / "install", Path(sys.executable).parent, "--require-hashes", "-r", PINNED],
+            env={**os.environ, "INTO": str(environment / "bin" / "python")}, check=True,
+        )  # fmt: skip
+        install = ("pip", "install", "--quiet", "--no-deps", "--python", environment / "bin" / "python", wheel)
+        run(uv, *install, cwd=folder)
+        plain = [name for name in wanted if not name.endswith(("__main__", "__init__"))]
+        run(environment / "bin" / "python", "-c", script, *plain, cwd=folder)
+        run(environment / "bin" / "fleet", "scenario", "list", cwd=folder)
+        print(f"Python {version}: installed, {len(plain)} modules imported, run")
+
+
 def main() -> int:
     """0 if everything is in the wheel and runs; else what is wrong is printed."""
     with tempfile.TemporaryDirectory() as name:
@@ -111,6 +145,7 @@ def main() -> int:
         if not Path(where.strip()).is_relative_to(folder):
             sys.exit(f"reach_server.sets comes from {where.strip()}, not from the wheel")
         print(f"{wheel.name}: built, installed, run")
+        try_other_pythons(wheel, folder)
     return 0
 
 

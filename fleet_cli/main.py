@@ -59,9 +59,23 @@ def main() -> None:
         sys.exit(1)
 
 
+def say_version(wanted: bool) -> None:
+    """Print the version and those of what it computes and talks with, and end."""
+    if wanted:
+        from importlib import metadata
+        from platform import python_version
+
+        others = [f"{name} {metadata.version(name)}" for name in ("eclipse-zenoh", "numpy")]
+        print(f"fleet-reach {metadata.version('fleet-reach')} (Python {python_version()}, {', '.join(others)})")
+        raise typer.Exit
+
+
 @app.callback()
 def common(
     verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice for details.")] = 0,
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=say_version, help="Print the version and end.")
+    ] = False,
 ) -> None:
     """Set up the log, which goes to stderr."""
     logs.configure((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])

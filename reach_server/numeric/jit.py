@@ -67,7 +67,7 @@ def inline_reduction(function: Callable[P, T]) -> Callable[P, T]:
 def stacked(array: FloatArray, own: int, batch: tuple[int, ...], size: int) -> FloatArray:
     """``array`` (..., own axes) with its batch axes in one: (size, own axes), or (1, own axes) where all share it.
 
-    Contiguous and read-only, so that a kernel is compiled for one kind of array only.
+    Contiguous and read-only.
     """
     split = array.ndim - own
     lead, tail = array.shape[:split], array.shape[split:]
@@ -79,9 +79,14 @@ def stacked(array: FloatArray, own: int, batch: tuple[int, ...], size: int) -> F
         flat = array.reshape((1, *tail))
     else:
         flat = np.broadcast_to(array, batch + tail).reshape((size, *tail))
-    flags = flat.flags
+    return read_only(flat)
+
+
+def read_only(array: FloatArray) -> FloatArray:
+    """The array in C order, not to be written to: a kernel is compiled for one kind of array only."""
+    flags = array.flags
     if flags.c_contiguous and not flags.writeable:
-        return flat
-    flat = np.ascontiguousarray(flat).view()
-    flat.flags.writeable = False
-    return flat
+        return array
+    array = np.ascontiguousarray(array).view()
+    array.flags.writeable = False
+    return array

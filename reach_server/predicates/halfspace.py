@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from reach_server.numeric.jit import read_only
 from reach_server.numeric.types import BoolArray, FloatArray
 from reach_server.predicates.fixed_verdict import fixed_verdict
 from reach_server.predicates.interface import Context, StateUncertainty, Strips, Verdict
@@ -53,7 +54,7 @@ class HalfspaceEnclosure:
         """See ``PredicateEnclosure``: exact, up to rounding."""
         region, moved = self.region, self.region.moved
         bounds = region.normal, region.lower, region.upper, moved.lower, moved.upper
-        return fixed_verdict(*map(np.ascontiguousarray, (*bounds, center, generators)))
+        return fixed_verdict(*map(read_only, (*bounds, center, generators)))
 
     def strips(self, center: FloatArray, generators: FloatArray, context: Context) -> tuple[Strips, BoolArray]:
         """See ``PredicateEnclosure``."""
