@@ -67,16 +67,21 @@ def parts(folder: Path, rules: Rules = RULES, time: Time | None = None, **more: 
             writing.close()
 
 
+def recorded(received: Received, number: int) -> Recorded:
+    """A message that came as the recorder's ``number``-th."""
+    return Recorded(received, number, received.arrived_ns)
+
+
 def numbered(messages: Iterable[Received]) -> list[Recorded]:
-    return [Recorded(received, n, received.arrived_ns) for n, received in enumerate(messages)]
+    return [recorded(received, n) for n, received in enumerate(messages)]
 
 
 def write(folder: Path, messages: Iterable[Received], **more: Any) -> Path:
     """Record messages to one file."""
     with parts(folder, **more) as writing:
         assert writing.ready()
-        for recorded in numbered(messages):
-            assert writing.add(recorded)
+        for message in numbered(messages):
+            assert writing.add(message)
     (path,) = writing.files
     return path
 
