@@ -18,8 +18,10 @@ from fleet_cli.commands.bench import bench
 from fleet_cli.commands.calibrate import calibrate
 from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
+from fleet_cli.commands.incident import incident
 from fleet_cli.commands.paper import paper
 from fleet_cli.commands.reach import reach
+from fleet_cli.commands.record import record
 from fleet_cli.commands.replay import replay
 from fleet_cli.commands.router import router
 from fleet_cli.commands.side_info import side_info
@@ -69,5 +71,5 @@ app.command("side-info")(side_info)
 scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
-for command in (agent, replay, evaluate, calibrate, paper, bench, demo):
+for command in (agent, record, replay, incident, evaluate, calibrate, paper, bench, demo):
     app.command()(command)

@@ -139,7 +139,7 @@ class Reading:
         same = bool(recording) and recording == self._recording
         follows = same and number == self._part + 1
         self._recording, self._part = recording, number
-        if not same or "cut_from" in details:
+        if not same:
             self._last = None
         return follows
 

@@ -59,6 +59,7 @@ class Summary(NamedTuple):
 class Recorder:
     """Records what comes over the buses that ``connect`` opens, between ``with``; ``run`` writes until told to stop.
 
+    Its token on ``svc/recorder/<instance>`` tells servers to put what a recorder needs of them, anew for each file.
     Three sessions: *bulk* carries states and tubes, *rare* all else, *tokens* what is alive (tokens in a session slow
     down its data). Callbacks append to a queue of at most ``queue_bytes``; what finds it full is counted and told.
     ``extra`` is asked at the beginning of each file for messages that it needs to stand on its own and that nobody puts
@@ -85,7 +86,7 @@ class Recorder:
         self.rejections = Rejections(clock.monotonic)
         self.parts = parts(
             folder, rules, clock=clock, scene=scene, details={"recorder": instance}, rejections=self.rejections,
-            opened=self._ask_extra,
+            opened=self._begin_part,
         )  # fmt: skip
         self._folder = folder
         self._connect = connect
@@ -96,6 +97,7 @@ class Recorder:
         self._queue: deque[Recorded] = deque()
         self._queued_bytes = 0
         self._sequence = 0
+        self._parts_begun = 0
         self._overflowed = 0
         self._started = clock.time_ns()
         self._next_status = clock.monotonic()
@@ -114,7 +116,9 @@ class Recorder:
                 declare(tokens.watch_alive(expression, self._put_token))
             for expression, history in ((keys.ALL_TUBES, 1), (keys.ALL_TRUTHS, 1), (keys.ALL_STATES, HISTORY)):
                 declare(bulk.subscriber(expression, self.put, history=history))
-            declare(tokens.alive(keys.service(KIND, self.instance)))
+            self._tokens = tokens
+            # What servers put for a recorder that comes is put for one that can hear it.
+            self._token = tokens.alive(keys.service(KIND, self.instance))
             self._open = opening.pop_all()
         return self
 
@@ -148,15 +152,28 @@ class Recorder:
     def _put_token(self, key: str, alive: bool) -> None:
         self.put(layout.token(key, alive, self._clock.time_ns()))
 
-    def _ask_extra(self) -> None:
+    def _begin_part(self) -> None:
+        """Let what a file needs to stand on its own be put anew, where it is not the first."""
+        self._parts_begun += 1
+        if self._parts_begun > 1:
+            try:
+                self._renew_token()
+            # The rest of the bus is recorded all the same.
+            except Exception:
+                _log.exception("servers were not asked for what a new file needs")
         if self._extra is None:
             return
         try:
             for received in self._extra():
                 self.put(received)
-        # The rest of the bus is recorded all the same.
         except Exception:
             _log.exception("what a file needs to stand on its own could not be had")
+
+    def _renew_token(self) -> None:
+        """Appear anew to servers, without having been gone: under another name, and only then no more under the old."""
+        name = self.instance if self._parts_begun % 2 else f"{self.instance}.again"
+        before, self._token = self._token, self._tokens.alive(keys.service(KIND, name))
+        before.close()
 
     def run(self, stop: threading.Event, tell: Callable[[Summary], object] | None = None) -> None:
         """Write what comes until ``stop`` is set; ``tell`` gets a summary about once a second."""

@@ -3,10 +3,12 @@
 import _thread
 import signal
 import threading
+from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
+from fleet_bus.errors import UsageError
 from fleet_bus.sessions import DEFAULT_ROUTER
 
 Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
@@ -25,3 +27,10 @@ def stop_on_signals() -> threading.Event:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, tell)
     return stop
+
+
+def need(extra: str, *modules: str) -> None:
+    """Raise ``UsageError`` that says what to install where modules of an optional part are missing."""
+    missing = [module for module in modules if find_spec(module) is None]
+    if missing:
+        raise UsageError(f"{', '.join(missing)} is not installed: pip install 'fleet-reach[{extra}]'")
