@@ -15,7 +15,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError, UnsupportedCompressionError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
@@ -25,6 +25,10 @@ from fleet_bus.errors import RecordingError
 MOST_BYTES: Final = 256 << 20
 
 _HEAD: Final = struct.Struct("<BQ")
+_FOOTER_BYTES: Final = 20
+_OPCODES: Final = frozenset(map(int, Opcode))
+#: Kinds from here on are anybody's, those below it MCAP's.
+_FIRST_PRIVATE: Final = 0x80
 
 
 class Chunks:
@@ -41,6 +45,9 @@ class Chunks:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.cut: int | None = None
+        self._messages = 0
+        #: Messages by the statistics in its summary.
+        self._counted: int | None = None
         try:
             self._size = path.stat().st_size
             with path.open("rb") as file:
@@ -65,15 +72,18 @@ class Chunks:
                 if len(head) < _HEAD.size:
                     break
                 opcode, length = _HEAD.unpack(head)
-                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                    # Behind it stands only what was said before.
-                    return
                 after = place + _HEAD.size + length
                 if after > self._size and self._grown(file) < after:
                     break
                 if length > MOST_BYTES:
                     raise self._damaged(place, f"a record of {length} bytes; at most {MOST_BYTES} are read")
-                yield from self._records(opcode, file.read(length), place)
+                body = file.read(length)
+                if opcode == Opcode.FOOTER:
+                    self._check_footer(body, place)
+                    return
+                for record in self._records(opcode, body, place):
+                    self._messages += isinstance(record, Message)
+                    yield record
                 place = after
                 file.seek(place)
             self.cut = max(0, self._grown(file) - place)
@@ -87,20 +97,29 @@ class Chunks:
 
     def _records(self, opcode: int, body: bytes, place: int) -> Iterator[McapRecord]:
         kind = _KINDS.get(opcode)
-        if kind is None and opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
-            return
+        if opcode < _FIRST_PRIVATE and opcode not in _OPCODES:
+            raise self._damaged(place, f"a record of the unknown kind {opcode}")
         try:
             stream = ReadDataStream(BytesIO(body))
             if opcode == Opcode.CHUNK:
                 yield from _unpack(Chunk.read(stream))
             elif opcode == Opcode.MESSAGE:
                 yield Message.read(stream, len(body))
+            elif opcode == Opcode.STATISTICS:
+                self._counted = Statistics.read(stream).message_count
             elif kind is not None:
                 yield kind.read(stream)
         except UnsupportedCompressionError as error:
             raise RecordingError(f"{self.path}: {error}: repack it with zstd") from None
         except (McapError, struct.error, ValueError, zstandard.ZstdError, MemoryError) as error:
             raise self._damaged(place, f"{type(error).__name__}: {error}") from None
+
+    def _check_footer(self, body: bytes, place: int) -> None:
+        """A bit that flipped in the head of a record makes another record of it, which may be skipped in silence."""
+        if len(body) != _FOOTER_BYTES:
+            raise self._damaged(place, f"its last record has {len(body)} bytes; expected {_FOOTER_BYTES}")
+        if self._counted not in (None, self._messages):
+            raise self._damaged(place, f"it holds {self._counted} messages, of which {self._messages} came")
 
     def _damaged(self, place: int, why: str) -> RecordingError:
         return RecordingError(f"{self.path}: damaged at byte {place}: {why}; what stands before it is sound")

@@ -128,7 +128,7 @@ class Reading:
         if self.missing > missing:
             self._warn(
                 f"{path}: {self.missing - missing} messages came to the recorder and are not in the recording: it "
-                "could not keep up, or its disk was full"
+                "could not keep up, its disk was full, or they were lost later"
             )
 
     def _begin(self, path: Path, details: dict[str, str]) -> bool:
