@@ -50,7 +50,7 @@ MOMENTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("count", "chunk", "each"), MOMENTS, ids=lambda value: str(value))
+@pytest.mark.parametrize(("count", "chunk", "each"), MOMENTS, ids=str)
 def test_everything_but_the_last_open_chunk_reads_back(count: int, chunk: int, each: int, tmp_path: Path) -> None:
     command = [sys.executable, "-c", RECORD, str(tmp_path), str(chunk), str(each)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
