@@ -92,7 +92,13 @@ class RecordingFile:
         self._channels: dict[Hashable, int] = {}
         self._in_chunk: set[int] = set()
         self._places = 0
-        self._mcap = Writer(cast("IO[Any]", self._sink), chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
+        # Without the checksum of all, a reader in file order skips a chunk whose head is damaged, and says nothing.
+        self._mcap = Writer(
+            cast("IO[Any]", self._sink),
+            chunk_size=chunk_bytes,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
         self._mcap.start(layout.PROFILE)
         known = " ".join(sorted(layout.known_schemas()))
         self._mcap.add_metadata(layout.DETAILS, {"format": str(layout.FORMAT), "schemas": known, **details})

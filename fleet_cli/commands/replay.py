@@ -1,5 +1,6 @@
 """``fleet replay``: recordings as live vehicles, or the recorded bus again."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -30,6 +31,9 @@ def replay(
         bool,
         typer.Option("--verify", help="MCAP: compute the tubes anew, without a bus, and compare with the recorded."),
     ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="MCAP: write what was published, or found, here; '-' for stdout.")
+    ] = None,
     linger: Annotated[float, typer.Option(help="Seconds to stay on the bus after the last sample.")] = 0.0,
     router: Routers = DEFAULT_ROUTERS,
 ) -> None:
@@ -43,21 +47,32 @@ def replay(
         raise UsageError("vehicles (NPZ) and the recorded bus (MCAP) cannot be played together: give one kind of files")
     factor = parse_speed(speed)
     if kinds == {False}:
-        if everything or shift or verify:
-            raise UsageError("--everything, --shift and --verify are for recordings of `fleet record` (MCAP)")
+        if everything or shift or verify or json_file is not None:
+            raise UsageError("--everything, --shift, --verify and --json are for recordings of `fleet record` (MCAP)")
         _replay_vehicles(files, profile, factor, as_, linger, router)
         return
     if profile is not None or as_ is not None:
         raise UsageError("--profile and --as are for recordings of vehicles (NPZ): an MCAP holds profiles and ids")
     need("recorder", "mcap", "zstandard")
     from fleet_cli import recording
+    from fleet_lab.files import check_writable, write_json
 
+    check_writable("--json", json_file)
     if verify:
-        _verify(files)
+        _verify(files, json_file)
         return
     report, reading = recording.play(
         files, router, stop_on_signals(), speed=factor, everything=everything, shift=shift, linger=linger
     )
+    write_json(
+        {
+            "messages": reading.messages, "missing": reading.missing, "cut": [str(path) for path in reading.cut],
+            **asdict(report),
+        },
+        json_file,
+    )  # fmt: skip
+    if str(json_file) == "-":
+        return
     parts = [f"{count} {kind}" for kind, count in sorted(report.published.items())]
     logs.say(f"published {', '.join(parts) or 'nothing'} of {reading.messages} messages")
     for why, count in report.left_out.items():
@@ -111,10 +126,11 @@ def _replay_vehicles(
         print(f"{report.vehicle}: {report.published} samples published" + (f", {skipped}" if skipped else ""))
 
 
-def _verify(files: list[Path]) -> None:
-    """Compute the tubes of a recording anew and compare; raises ``SystemExit`` with 1 where they differ."""
+def _verify(files: list[Path], json_file: Path | None) -> None:
+    """Compute the tubes of a recording anew and compare; raises ``typer.Exit`` with 1 where they differ."""
     from importlib import import_module
 
+    from fleet_lab.files import write_json
     from fleet_recorder.reader import read
 
     try:
@@ -122,6 +138,9 @@ def _verify(files: list[Path]) -> None:
     except ModuleNotFoundError as error:
         raise UsageError(f"--verify cannot be had here: {error}") from None
     report = verify(read(files, warn=logs.warn))
-    logs.say(str(report))
+    if str(json_file) != "-":
+        for line in report.lines():
+            logs.say(line)
+    write_json(report.json(), json_file)
     if not report.equal:
         raise typer.Exit(1)

@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 import types
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +78,7 @@ def test_kinds_of_recordings_and_their_options_do_not_mix(
         ([str(arrays), "--profile", "svea", "--speed", "max"], "vehicles need a number"),
         ([str(arrays), "--shift"], "(MCAP)"),
         ([str(arrays), "--verify"], "(MCAP)"),
+        ([str(arrays), "--json", "-"], "(MCAP)"),
         ([str(drive), "--profile", "svea"], "(NPZ)"),
         ([str(drive), "--as", "b"], "(NPZ)"),
         ([str(drive), "--speed", "quick"], "--speed 'quick'"),
@@ -94,8 +95,11 @@ class Report:
     def equal(self) -> bool:
         return len(self.messages) == 202
 
-    def __str__(self) -> str:
-        return f"{len(self.messages)} messages compared"
+    def lines(self) -> Iterator[str]:
+        yield f"{len(self.messages)} messages compared"
+
+    def json(self) -> dict[str, bool]:
+        return {"equal": self.equal}
 
 
 @pytest.mark.parametrize(("cut", "code"), [(0, 0), (2000, 1)])
@@ -112,6 +116,8 @@ def test_verify_gets_the_messages_and_decides_the_exit_code(
     found, out, _ = fleet(monkeypatch, capsys, "replay", "--verify", str(drive))
     assert found == code
     assert "messages compared" in out
+    found, out, _ = fleet(monkeypatch, capsys, "replay", "--verify", str(drive), "--json", "-")
+    assert (found, json.loads(out)) == (code, {"equal": code == 0})
 
 
 def test_an_incident_is_cut_and_said(

@@ -1,11 +1,14 @@
 """What came over the bus comes out of a recording, every byte and every name of it."""
 
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.reader import make_reader
+from mcap.opcode import Opcode
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.stream_reader import CRCValidationError
 
 from fleet_bus import keys, schemas
 from fleet_bus.messages import EventKind, StateSample
@@ -66,6 +69,10 @@ def test_others_can_read_it_too(tmp_path: Path) -> None:
         assert reader.get_header().profile == "fleet-reach"
         found = list(reader.iter_messages(log_time_order=False))
         summary = reader.get_summary()
+    with path.open("rb") as file:
+        # In file order the checksum of all that was written is looked at, too.
+        in_order = NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False)
+        assert [message.data for _, _, message in in_order] == [received.payload for received in EVERYTHING]
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == len(EVERYTHING)
@@ -116,6 +123,16 @@ def test_the_scene_stands_beside_and_is_not_read(tmp_path: Path) -> None:
     drawn: list[str] = []
     list(Reading(tmp_path, scene=lambda schema, channel, message: drawn.append(channel.topic)))
     assert drawn == ["/scene", "/tf"] * 2
+
+
+def test_a_plain_reader_in_file_order_sees_that_the_head_of_a_chunk_is_damaged(tmp_path: Path) -> None:
+    content = bytearray(write(tmp_path, EVERYTHING).read_bytes())
+    # Between the opcode of a chunk and what is compressed: length, times, size, checksum, name, and length again.
+    place = content.index(b"\x28\xb5\x2f\xfd") - 9 - 8 - 8 - 8 - 4 - 4 - len(b"zstd") - 8
+    assert content[place] == Opcode.CHUNK
+    content[place] ^= 1 << 5
+    with pytest.raises(CRCValidationError):
+        list(NonSeekingReader(BytesIO(content), validate_crcs=True).iter_messages(log_time_order=False))
 
 
 @pytest.mark.parametrize(
