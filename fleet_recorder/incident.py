@@ -24,6 +24,9 @@ from fleet_recorder.recording_file import CHUNK_BYTES, RecordingFile
 _NANOSECONDS: Final = 10**15
 _CHECKPOINT: Final = "fleet.checkpoint"
 _CHECKPOINT_BYTES: Final = 4 << 20
+#: By how much (ns) what a server took in after a checkpoint may have come to the recorder before the checkpoint did: it
+#: is large, and the server works on none while it writes it.
+_LATE_NS: Final = 5 * 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,20 +103,20 @@ class _InForce:
 
     def __init__(self) -> None:
         self._newest: dict[str, Recorded] = {}
-        #: By key: which checkpoint, its parts, and the place of the first in the recording.
-        self._checkpoints: dict[str, tuple[object, list[Recorded], int, int]] = {}
-        self._whole: dict[str, tuple[list[Recorded], int]] = {}
+        #: By key: which checkpoint, its parts, and how many it has.
+        self._checkpoints: dict[str, tuple[object, list[Recorded], int]] = {}
+        self._whole: dict[str, list[Recorded]] = {}
 
-    def see(self, recorded: Recorded, place: int) -> None:
+    def see(self, recorded: Recorded) -> None:
         received = recorded.received
         if layout.stays(received):
             self._newest.pop(received.key, None)
             if received.encoding != layout.TOKEN or _alive(received):
                 self._newest[received.key] = recorded
         elif layout.schema_name(received.encoding).rpartition(".v")[0] == _CHECKPOINT:
-            self._see_checkpoint(recorded, place)
+            self._see_checkpoint(recorded)
 
-    def _see_checkpoint(self, recorded: Recorded, place: int) -> None:
+    def _see_checkpoint(self, recorded: Recorded) -> None:
         key = recorded.received.key
         try:
             fields = codec.unpack(recorded.received.payload, limit=_CHECKPOINT_BYTES)
@@ -122,26 +125,25 @@ class _InForce:
             return
         known = self._checkpoints.get(key)
         if known is None or known[0] != which or part == 1:
-            known = which, [], place, count
+            known = which, [], count
         known[1].append(recorded)
         self._checkpoints[key] = known
         if len(known[1]) == count:
             # One that is on its way when the stretch begins is of no use; the one before it is.
-            self._whole[key] = known[1], known[2]
+            self._whole[key] = known[1]
 
     @property
     def messages(self) -> Iterator[Recorded]:
-        checkpoints = itertools.chain.from_iterable(parts for parts, _ in self._whole.values())
-        return itertools.chain(self._newest.values(), checkpoints)
+        return itertools.chain(self._newest.values(), *self._whole.values())
 
     @property
     def has_checkpoint(self) -> bool:
         return bool(self._whole)
 
     @property
-    def checkpoint_place(self) -> int | None:
-        """Where the newest whole checkpoint begins; of several servers, the first of their newest."""
-        return min((place for _, place in self._whole.values()), default=None)
+    def checkpoint_ns(self) -> int | None:
+        """When the newest whole checkpoint came; of several servers, the first of their newest."""
+        return min((parts[0].logged_ns for parts in self._whole.values()), default=None)
 
 
 def cut(
@@ -157,14 +159,15 @@ def cut(
     """Write what was recorded from ``before`` seconds before an instant (Unix ns) until ``after`` seconds after it.
 
     The file stands alone: it begins with the profiles, documents, assignments, statuses and tokens that were in force,
-    and the newest checkpoint of each server. With ``from_checkpoint`` the stretch is longer: it begins where the newest
-    checkpoint before it was recorded, so that all that a server did since then is in it.
+    and the newest checkpoint of each server. With ``from_checkpoint`` the stretch is longer: it begins some seconds
+    before the newest checkpoint came, so that all that a server took in since then is in it.
 
     Raises ``RecordingError`` where nothing was recorded in the stretch, or it has no checkpoint before it,
     ``UsageError`` if ``out`` is there already, ``FleetError`` if it cannot be written; then no file is left.
     """
     start, end = at_ns - round(before * 1e9), at_ns + round(after * 1e9)
-    place = _place_of_checkpoint(paths, start) if from_checkpoint else None
+    if from_checkpoint:
+        start = _checkpoint_before(paths, start) - _LATE_NS
     draft = out.with_name(f".{secrets.token_hex(8)}.new")
     details = {"cut_from": ", ".join(path.name for path in paths)[:1000], "at_ns": str(at_ns)}
     if out.exists():
@@ -172,7 +175,7 @@ def cut(
     try:
         writing = RecordingFile(draft, details)
         try:
-            done = _Copy(writing, start, end, place).run(paths, warn, at_ns, out)
+            done = _Copy(writing, start, end, from_checkpoint).run(paths, warn, at_ns, out)
             writing.finish()
             draft.rename(out)
         finally:
@@ -184,12 +187,12 @@ def cut(
     return done
 
 
-def _place_of_checkpoint(paths: Sequence[Path], start: int) -> int:
+def _checkpoint_before(paths: Sequence[Path], start: int) -> int:
     in_force = _InForce()
-    for place, recorded in enumerate(Reading(paths, warn=bool)):
+    for recorded in Reading(paths, warn=bool):
         if recorded.logged_ns < start:
-            in_force.see(recorded, place)
-    found = in_force.checkpoint_place
+            in_force.see(recorded)
+    found = in_force.checkpoint_ns
     if found is None:
         raise RecordingError(
             "no checkpoint of a server was recorded before the stretch: leave out --from-checkpoint, or begin later"
@@ -198,26 +201,26 @@ def _place_of_checkpoint(paths: Sequence[Path], start: int) -> int:
 
 
 class _Copy:
-    """Copies a stretch into a file, by time or from a place in the recording on."""
+    """Copies a stretch into a file; ``has_checkpoint``: there is one in it, and none has to be carried over."""
 
-    def __init__(self, writing: RecordingFile, start: int, end: int, place: int | None) -> None:
+    def __init__(self, writing: RecordingFile, start: int, end: int, has_checkpoint: bool) -> None:
         self._writing = writing
         self._start = start
         self._end = end
-        self._place = place
+        self._has_checkpoint = has_checkpoint
         self._in_force = _InForce()
         self._messages = self._carried = self._scene = 0
 
     def run(self, paths: Sequence[Path], warn: Callable[[str], object] | None, at_ns: int, out: Path) -> Cut:
         first = last = None
-        for place, recorded in enumerate(Reading(paths, warn=warn, scene=self._draw)):
+        for recorded in Reading(paths, warn=warn, scene=self._draw):
             logged = recorded.logged_ns
             first, last = logged if first is None else min(first, logged), max(last or 0, logged)
-            inside = logged <= self._end and (logged >= self._start if self._place is None else place >= self._place)
+            inside = self._start <= logged <= self._end
             if not self._messages and (recorded.carried or not inside):
                 # What lies out of order after the stretch is not in force before it.
                 if logged <= self._end:
-                    self._in_force.see(recorded, place)
+                    self._in_force.see(recorded)
             elif inside:
                 if not self._messages:
                     self._carry(logged)
@@ -230,12 +233,12 @@ class _Copy:
             )
         return Cut(
             out, at_ns, self._start, self._end, self._messages, self._carried, self._scene,
-            self._in_force.has_checkpoint or self._place is not None,
+            self._in_force.has_checkpoint or self._has_checkpoint,
         )  # fmt: skip
 
     def _carry(self, logged_ns: int) -> None:
         for recorded in self._in_force.messages:
-            if self._place is not None and not layout.stays(recorded.received):
+            if self._has_checkpoint and not layout.stays(recorded.received):
                 continue
             self._add(recorded._replace(logged_ns=logged_ns, carried=True))
             self._carried += 1

@@ -109,16 +109,18 @@ class Recorder:
             bulk, rare, tokens = (declare(self._connect()) for _ in range(3))
             status = keys.service_status(KIND, self.instance)
             self._status = declare(rare.publisher(status, ServiceStatus.encoding(), cache=1))
-            for expression in (keys.ALL_PROFILES, ALL_SPEC, ALL_SERVICES):
-                declare(rare.subscriber(expression, self.put, history=RARE, late_publishers=True))
+            for expression, history in ((keys.ALL_TUBES, 1), (keys.ALL_TRUTHS, 1), (keys.ALL_STATES, HISTORY)):
+                declare(bulk.subscriber(expression, self.put, history=history))
             declare(rare.subscriber(keys.ALL_EVENTS, self.put, history=RARE))
             for expression in ALL_TOKENS:
                 declare(tokens.watch_alive(expression, self._put_token))
-            for expression, history in ((keys.ALL_TUBES, 1), (keys.ALL_TRUTHS, 1), (keys.ALL_STATES, HISTORY)):
-                declare(bulk.subscriber(expression, self.put, history=history))
+            # What is said about samples and tubes begins after these, and ends before them.
+            for expression in (keys.ALL_PROFILES, ALL_SPEC, ALL_SERVICES):
+                declare(rare.subscriber(expression, self.put, history=RARE, late_publishers=True))
             self._tokens = tokens
             # What servers put for a recorder that comes is put for one that can hear it.
             self._token = tokens.alive(keys.service(KIND, self.instance))
+            opening.callback(self._close_token)
             self._open = opening.pop_all()
         return self
 
@@ -168,6 +170,9 @@ class Recorder:
                 self.put(received)
         except Exception:
             _log.exception("what a file needs to stand on its own could not be had")
+
+    def _close_token(self) -> None:
+        self._token.close()
 
     def _renew_token(self) -> None:
         """Appear anew to servers, without having been gone: under another name, and only then no more under the old."""
