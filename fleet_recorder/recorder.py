@@ -98,6 +98,7 @@ class Recorder:
         self._queued_bytes = 0
         self._sequence = 0
         self._parts_begun = 0
+        self._ended = False
         self._overflowed = 0
         self._started = clock.time_ns()
         self._next_status = clock.monotonic()
@@ -125,6 +126,7 @@ class Recorder:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
+        self._ended = True
         try:
             self._open.close()
         finally:
@@ -157,6 +159,8 @@ class Recorder:
     def _begin_part(self) -> None:
         """Let what a file needs to stand on its own be put anew, where it is not the first."""
         self._parts_begun += 1
+        if self._ended:
+            return
         if self._parts_begun > 1:
             try:
                 self._renew_token()
@@ -200,7 +204,8 @@ class Recorder:
     def _write(self, *, at_once: bool = False) -> None:
         if not self.parts.ready(at_once=at_once):
             return
-        while self._queue:
+        # No more than is there now: a file that begins makes messages of its own.
+        for _ in range(len(self._queue)):
             recorded = self._queue.popleft()
             with self._lock:
                 self._queued_bytes -= len(recorded.received.payload) + OVERHEAD

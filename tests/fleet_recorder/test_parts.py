@@ -170,6 +170,7 @@ def test_a_part_ends_before_it_has_more_channels_than_mcap_can_count(
     assert list(read(tmp_path)) == messages
 
 
+@pytest.mark.slow
 def test_the_oldest_files_go_and_no_others(tmp_path: Path) -> None:
     others = tmp_path / "incident-20200101.mcap"
     others.write_bytes(b"x" * 100_000)

@@ -220,6 +220,7 @@ def test_other_channels_beside_ours_are_left_alone(tmp_path: Path) -> None:
     assert list(read(path)) == [state(0)]
 
 
+@pytest.mark.slow
 def test_reading_holds_one_chunk_and_not_the_file(tmp_path: Path) -> None:
     import tracemalloc
 

@@ -218,6 +218,31 @@ def test_each_file_has_what_is_put_for_a_recorder_that_comes(tmp_path: Path) -> 
         assert found[keys.service_status("reach", "one")][-1] == status(T0).payload
 
 
+def test_a_file_that_begins_when_it_ends_asks_nobody(tmp_path: Path) -> None:
+    network = Network()
+    asked: list[int] = []
+
+    def extra() -> list[Received]:
+        asked.append(len(network.tokens))
+        return []
+
+    with recording(tmp_path, network, Rules(keep_free=0, chunk_bytes=3000, part_bytes=6000), extra=extra) as recorder:
+        recorder.step()
+        come(recorder, *(state(n) for n in range(500)))
+        before = list(asked)
+    assert len(recorder.parts.files) > 2
+    assert asked == before
+
+
+def test_files_that_are_full_when_they_begin_do_not_keep_it_from_going_on(tmp_path: Path) -> None:
+    network = Network()
+    with recording(tmp_path, network, Rules(keep_free=0, chunk_bytes=1, part_bytes=1)) as recorder:
+        come(recorder, state(0))
+        recorder.step()
+        recorder.step()
+    assert state(0) in list(read(tmp_path))
+
+
 def test_what_cannot_be_had_costs_nothing_else(tmp_path: Path) -> None:
     def broken() -> list[Received]:
         raise RuntimeError("no answer")

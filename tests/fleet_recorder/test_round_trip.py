@@ -50,6 +50,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 times = st.integers(0, 2**64 - 1)
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.builds(Received, texts, st.binary(max_size=60), texts, st.none() | times, texts, times),
