@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Library: numba 0.68.0.
+# Library: numba 0.68.1.
 # Expected: `n = 0` before a loop that says `n = step(n)` makes n an int64, and `step` is compiled for int64 once.
 # Happens: while Numba guesses the type of n it compiles `step`, and all that `step` calls, for Literal[int](0) first,
 #   then for int64. The first code is never called by anything, and is kept by the dispatcher and on disk with
@@ -12,7 +12,7 @@ tmp=$(mktemp -d)
 trap 'rm -rf "$tmp"' EXIT
 python3 -m venv "$tmp/venv"
 "$tmp/venv/bin/pip" install --quiet --quiet --no-compile --disable-pip-version-check \
-    numba==0.68.0 numpy==2.4.6
+    numba==0.68.1 numpy==2.4.6
 cat > "$tmp/probe.py" <<'PYTHON'
 import sys
 

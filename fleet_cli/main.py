@@ -20,8 +20,10 @@ from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
 from fleet_cli.commands.events import events
 from fleet_cli.commands.foxglove import foxglove
+from fleet_cli.commands.incident import incident
 from fleet_cli.commands.paper import paper
 from fleet_cli.commands.reach import reach
+from fleet_cli.commands.record import record
 from fleet_cli.commands.replay import replay
 from fleet_cli.commands.router import router
 from fleet_cli.commands.side_info import side_info
@@ -87,5 +89,7 @@ app.command("side-info")(side_info)
 scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
-for command in (agent, replay, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo):
+for command in (
+    agent, record, replay, incident, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo,
+):  # fmt: skip
     app.command()(command)

@@ -33,8 +33,10 @@ class Time:
 
 
 def matches(expression: str, key: str) -> bool:
-    """Whether a key expression, with ``*`` for one part of a key, includes a key."""
+    """Whether a key expression, with ``*`` for one part of a key and ``**`` at its end for any, includes a key."""
     wanted, parts = expression.split("/"), key.split("/")
+    if wanted[-1] == "**":
+        wanted, parts = wanted[:-1], parts[: len(wanted) - 1]
     return len(wanted) == len(parts) and all(w in ("*", part) for w, part in zip(wanted, parts, strict=True))
 
 

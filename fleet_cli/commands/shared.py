@@ -2,12 +2,14 @@
 
 import _thread
 import math
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
@@ -36,14 +38,26 @@ def check_speed(speed: float) -> None:
 def stop_on_signals() -> threading.Event:
     """An event that SIGINT and SIGTERM set, so that sessions are closed before the process ends."""
     stop = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
 
     def tell(*_: object) -> None:
         # Set by another thread: a handler runs in the main thread, wherever that is, and where it is about to wait for
         # the event it holds the event's lock. Not by a ``Thread``, whose start takes locks of its own.
         _thread.start_new_thread(stop.set, ())
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    def watch() -> None:
+        while os.read(reading, 1)[0] not in numbers:
+            pass
+        stop.set()
+
+    # A handler runs when the main thread goes on, and if a thread of Zenoh's gets the signal, nothing wakes that one
+    # from its wait. What is written to this pipe is written by whichever thread gets it.
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    for number in numbers:
         signal.signal(number, tell)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=watch, name="signals", daemon=True).start()
     return stop
 
 
@@ -63,3 +77,10 @@ def prometheus_endpoint(address: str | None, kind: str, instance: str, module: s
     with metrics.serve(metrics.registry(kind, instance, read), address) as url:
         logs.say(f"metrics on {url}")
         yield
+
+
+def need(extra: str, *modules: str) -> None:
+    """Raise ``UsageError`` that says what to install where modules of an optional part are missing."""
+    missing = [module for module in modules if find_spec(module) is None]
+    if missing:
+        raise UsageError(f"{', '.join(missing)} is not installed: pip install 'fleet-reach[{extra}]'")

@@ -36,6 +36,7 @@ PACKAGES = (
     "fleet_cli",
     "fleet_foxglove",
     "fleet_lab",
+    "fleet_recorder",
     "fleet_view",
     "reach_server",
     "side_info",

@@ -2,11 +2,13 @@
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 
 import pytest
 
 from fleet_cli.commands.shared import stop_on_signals
+from tests.waiting import wait_until
 
 
 @pytest.fixture(autouse=True)
@@ -15,6 +17,7 @@ def _handlers() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+    signal.set_wakeup_fd(-1)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -31,3 +34,16 @@ def test_a_signal_at_the_moment_at_which_the_wait_begins_is_heeded() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         assert not stop._flag  # type: ignore[attr-defined]
     assert stop.wait(60)
+
+
+def test_a_signal_that_another_thread_gets_ends_the_wait_of_the_main_thread() -> None:
+    stop = stop_on_signals()
+
+    def get_it() -> None:
+        wait_until(lambda: stop._cond._waiters)  # type: ignore[attr-defined]
+        signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
+
+    thread = threading.Thread(target=get_it)
+    thread.start()
+    assert stop.wait(60)
+    thread.join()
