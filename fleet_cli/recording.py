@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +12,8 @@ from fleet_bus.sessions import Role
 from fleet_bus.zenoh_bus import open_bus
 from fleet_cli import logs
 from fleet_recorder.files import Folder
-from fleet_recorder.parts import Rules
+from fleet_recorder.layout import SceneMessage
+from fleet_recorder.parts import Rules, Scene
 from fleet_recorder.player import Player, Report
 from fleet_recorder.reader import Reading
 from fleet_recorder.recorder import Recorder, Summary
@@ -28,6 +30,8 @@ def record(
     routers: Sequence[str],
     stop: threading.Event,
     duration: float | None,
+    *,
+    scene: bool,
 ) -> dict[str, Any]:
     """Record the bus until ``stop``, or for ``duration`` seconds; what was done, as ``--json`` has it."""
     if limit is not None and limit < 2 * rules.part_bytes:
@@ -37,7 +41,9 @@ def record(
         )
     timer = None if duration is None else threading.Timer(duration, stop.set)
     with Folder(folder, limit) as opened:
-        with Recorder(opened, rules, partial(open_bus, Role.SERVICE, routers, stop), instance=instance) as recorder:
+        connect = partial(open_bus, Role.SERVICE, routers, stop)
+        drawn = _scene if scene else None
+        with Recorder(opened, rules, connect, instance=instance, scene=drawn) as recorder:
             logs.say(f"recorder {instance} writes to {folder}")
             if timer is not None:
                 timer.daemon = True
@@ -53,6 +59,20 @@ def record(
         "refused": recorder.rejections.snapshot(),
         "problem": recorder.parts.trouble,
     }
+
+
+def _scene() -> Scene:
+    """What turns messages of the bus into those that Foxglove draws."""
+    from fleet_foxglove.messages import Scene as FoxgloveScene
+
+    draw_regions = None
+    # Regions of scenarios need the extras of server and pictures.
+    with suppress(ModuleNotFoundError):
+        from fleet_cli.scenario_outlines import outlines
+
+        draw_regions = outlines
+    made = FoxgloveScene(draw_regions)
+    return lambda received: [SceneMessage(*message) for message in made.scene_messages(received)]
 
 
 class _Progress:

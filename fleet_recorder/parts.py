@@ -46,10 +46,10 @@ class Rules:
 class Parts:
     """The parts of one recording in ``folder``, each of which stands on its own: it begins with what is in force.
 
-    ``scene`` makes messages for viewers out of those of the bus. ``details`` describe the recording in each file;
-    ``opened`` is called when a file has begun. ``write`` and ``free`` stand in for ``os.pwrite`` and the bytes that are
-    free on a folder's disk. No method raises what the disk raises: ``trouble`` says it, and nothing more is taken until
-    it is over.
+    What ``scene`` returns, anew for each file, makes messages for viewers out of those of the bus. ``details`` describe
+    the recording in each file; ``opened`` is called when a file has begun. ``write`` and ``free`` stand in for
+    ``os.pwrite`` and the bytes that are free on a folder's disk. No method raises what the disk raises: ``trouble``
+    says it, and nothing more is taken until it is over.
 
     Attributes:
         trouble: why nothing can be written now; None if it can.
@@ -65,7 +65,7 @@ class Parts:
         rules: Rules,
         *,
         clock: Clock = SYSTEM,
-        scene: Scene | None = None,
+        scene: Callable[[], Scene] | None = None,
         details: Mapping[str, str] | None = None,
         rejections: Rejections | None = None,
         opened: Callable[[], object] = bool,
@@ -80,7 +80,8 @@ class Parts:
         self._folder = folder
         self._rules = rules
         self._clock = clock
-        self._scene = scene
+        self._new_scene = scene
+        self._scene: Scene | None = None
         self._started_ns = clock.time_ns()
         self._details = {"recording": str(self._started_ns), **(details or {})}
         self._rejections = rejections or Rejections()
@@ -262,6 +263,7 @@ class Parts:
             except FileExistsError:
                 continue
         self.files.append(self._file.path)
+        self._scene = None if self._new_scene is None else self._new_scene()
         now_ns = self._clock.time_ns()
         self._began = self._clock.monotonic()
         self._next_flush = self._began + FLUSH_SECONDS

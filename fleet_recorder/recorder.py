@@ -63,7 +63,7 @@ class Recorder:
     Three sessions: *bulk* carries states and tubes, *rare* all else, *tokens* what is alive (tokens in a session slow
     down its data). Callbacks append to a queue of at most ``queue_bytes``; what finds it full is counted and told.
     ``extra`` is asked at the beginning of each file for messages that it needs to stand on its own and that nobody puts
-    by itself: they are recorded as if they had come. ``scene`` makes messages for viewers out of those of the bus.
+    by itself: they are recorded as if they had come. ``scene`` as for ``Parts``.
 
     Raises what ``connect`` raises.
     """
@@ -77,7 +77,7 @@ class Recorder:
         instance: str = "recorder-1",
         clock: Clock = SYSTEM,
         extra: Callable[[], Iterable[Received]] | None = None,
-        scene: Scene | None = None,
+        scene: Callable[[], Scene] | None = None,
         queue_bytes: int = QUEUE_BYTES,
         parts: Callable[..., Parts] = Parts,
     ) -> None:

@@ -1,6 +1,7 @@
 """``fleet record``: everything on the bus, into files."""
 
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,10 @@ def record(
     fsync: Annotated[
         bool, typer.Option("--fsync", help="Wait for the disk at every chunk: what is counted survives a power cut.")
     ] = False,
+    scene: Annotated[
+        bool | None,
+        typer.Option("--scene/--no-scene", help="Beside the messages what Foxglove draws of them; if it is installed."),
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Stop after this many seconds.", min=0.0)] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write a summary here at the end; '-' for stdout.")
@@ -42,6 +47,10 @@ def record(
     does not end it: it says so, and goes on when there is room.
     """
     need("recorder", "mcap", "zstandard")
+    if scene:
+        need("foxglove", "foxglove")
+    elif scene is None:
+        scene = find_spec("foxglove") is not None
     from fleet_cli.recording import record as work
     from fleet_lab.files import check_writable, write_json
     from fleet_recorder.parts import Rules
@@ -56,7 +65,7 @@ def record(
     stop = stop_on_signals()
     limit = None if limit_gb is None else round(limit_gb * 1e9)
     began = time.monotonic()
-    summary = work(output, rules, limit, id, router, stop, duration)
+    summary = work(output, rules, limit, id, router, stop, duration, scene=scene)
     seconds = time.monotonic() - began
     if str(json_file) != "-":
         logs.say(

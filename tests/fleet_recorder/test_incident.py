@@ -150,7 +150,7 @@ def test_the_scene_of_the_stretch_comes_along(whole: bool, tmp_path: Path) -> No
         data = b"at %d" % received.arrived_ns
         return [SceneMessage("/scene", "foxglove.SceneUpdate", "jsonschema", b"{}", "json", data, received.arrived_ns)]
 
-    path = write(tmp_path, SAMPLES, scene=scene)
+    path = write(tmp_path, SAMPLES, scene=lambda: scene)
     if not whole:
         path.write_bytes(path.read_bytes()[:-300])
     out = tmp_path / "cut.mcap"

@@ -329,7 +329,7 @@ def test_a_failing_scene_costs_no_message(tmp_path: Path) -> None:
     def scene(received: Received) -> list[object]:
         raise RuntimeError("cannot draw")
 
-    with parts(tmp_path, RULES, scene=scene) as writing:
+    with parts(tmp_path, RULES, scene=lambda: scene) as writing:
         assert writing.ready()
         writing.add(recorded(state(0), 0))
     assert list(read(tmp_path)) == [state(0)]

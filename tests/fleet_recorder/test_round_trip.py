@@ -108,7 +108,7 @@ def test_the_scene_stands_beside_and_is_not_read(tmp_path: Path) -> None:
         )
         return [message, message._replace(topic="/tf", schema="")]
 
-    with parts(tmp_path, scene=scene) as writing:
+    with parts(tmp_path, scene=lambda: scene) as writing:
         assert writing.ready()
         messages = [state(0), profile(), state(1)]
         for number, received in enumerate(messages):
