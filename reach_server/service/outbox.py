@@ -17,6 +17,8 @@ from reach_server.service.status import Tally
 _log = structlog.get_logger(__name__)
 
 EVENT_CACHE: Final = 32
+#: Where tubes are put faster than a link takes them, some are dropped: subscribers fetch them from here.
+TUBE_CACHE: Final = 8
 LONGEST_MESSAGE: Final = 2000
 
 
@@ -37,7 +39,7 @@ class Outbox:
 
     def put_tube(self, tube: ReachTube) -> None:
         """Publish the tube of a vehicle."""
-        self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, 1).put(tube.encode())
+        self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, TUBE_CACHE).put(tube.encode())
         self._tally.tubes += 1
         key = tube.label, tube.method
         self._tally.by_label[key] = self._tally.by_label.get(key, 0) + 1
