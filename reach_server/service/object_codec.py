@@ -39,9 +39,8 @@ MOST_BYTES: Final = 2**30
 MOST_ELEMENTS: Final = 2**27
 
 # Kinds of records: those that make something, and the one that fills it.
-LIST, DICT, SET, DEQUE, OBJECT, TUPLE, FROZEN, NAMED_TUPLE, ENUM, METHOD, MEMORY, ARRAY, SCALAR, LARGE, GIVEN, OPERATION = (
-    range(16)
-)  # fmt: skip
+LIST, DICT, SET, DEQUE, OBJECT, TUPLE, FROZEN, NAMED_TUPLE = range(8)
+ENUM, METHOD, MEMORY, ARRAY, SCALAR, LARGE, GIVEN, OPERATION = range(8, 16)
 CLASS, FILL = 16, 17
 
 #: A slot that holds nothing: no reference is like it.
@@ -165,7 +164,7 @@ class _Writer:
             return self._make(value, METHOD, self._value(value.__self__), value.__func__.__name__)
         if kind is Operation:
             return self._make(value, OPERATION, code_of(value))
-        number, layout = self._class(kind)
+        number, _ = self._class(kind)
         if isinstance(value, Enum):
             return self._make(value, ENUM, number, value.value if isinstance(value, Flag) else value.name)
         if isinstance(value, tuple):

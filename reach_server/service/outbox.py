@@ -8,7 +8,7 @@ import structlog
 from fleet_bus import keys
 from fleet_bus.bus import Bus, Publisher
 from fleet_bus.clock import Clock
-from fleet_bus.messages import Event, EventKind, ReachTube
+from fleet_bus.messages import Event, EventKind
 from fleet_bus.messages import tube as tube_message
 from reach_server.data.events import EngineEvent
 from reach_server.service.event_limit import EventLimit
@@ -35,9 +35,9 @@ class Outbox:
         self._limit = EventLimit()
         self._publishers: dict[str, Publisher] = {}
 
-    def put_tube(self, tube: ReachTube) -> None:
+    def put_tube(self, vehicle: str, payload: bytes) -> None:
         """Publish the tube of a vehicle."""
-        self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, 1).put(tube.encode())
+        self._publisher(keys.tube(vehicle), tube_message.ENCODING, 1).put(payload)
         self._tally.tubes += 1
 
     def put_event(self, event: EngineEvent) -> None:
