@@ -349,4 +349,4 @@ class Bytes(Kind):
     def json(self) -> dict[str, Any]:
         """See ``Kind``."""
         shape = [self.size, str(self.each)] if self.each > 1 else [self.size]
-        return {"type": "string", "contentEncoding": "base64", "x-dtype": "bytes", "x-shape": shape}
+        return {"type": "string", "contentEncoding": "base64", "x-bytes": shape}

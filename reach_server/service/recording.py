@@ -8,13 +8,11 @@ import structlog
 
 from fleet_bus import keys
 from fleet_bus.bus import Bus, Publisher
-from fleet_bus.errors import MessageError
 from fleet_bus.messages import checkpoint as checkpoint_message
 from fleet_bus.messages import journal as journal_message
 from reach_server.service import checkpoint
 from reach_server.service.fleet import Fleet
 from reach_server.service.journal import Journal
-from reach_server.service.object_codec import CheckpointError
 
 _log = structlog.get_logger(__name__)
 
@@ -39,7 +37,7 @@ class Recording:
         self._wanted = self._listening = False
         self._heard = -float("inf")
         self._publishers: tuple[Publisher, Publisher] | None = None
-        #: Why recordings cannot begin now, if so.
+        #: Why recordings of now cannot be verified, if so.
         self.problems: list[str] = []
 
     def open(self, bus: Bus) -> ExitStack:
@@ -63,27 +61,28 @@ class Recording:
 
     def end(self, fleet: Fleet, now: float) -> None:
         """A round is over at ``now`` (s): write it down, and put a checkpoint for who has come meanwhile."""
-        self.journal.end()
-        if self._wanted:
-            self._wanted = False
-            self.journal.flush()
-            self._put_checkpoint(fleet)
+        try:
+            self.journal.end()
+            if self._wanted:
+                self._wanted = False
+                self.journal.flush()
+                self._put_checkpoint(fleet)
+                self.problems = []
+        except Exception as error:
+            # Nobody but recorders is concerned.
+            _log.exception("a recorder does not get what it needs")
+            self.problems = [f"recordings cannot be verified until a recorder comes anew: {error}"[:300]]
         if self._recorders:
             self._heard = now
         self._listening = now - self._heard <= LINGER
 
     def _put_checkpoint(self, fleet: Fleet) -> None:
+        """Put the state of the fleet; raises ``CheckpointError`` where it cannot be written."""
         assert self._publishers is not None
-        self.problems = []
         began, size = time.perf_counter(), 0
-        try:
-            for part in checkpoint.parts(self._instance, self._started, fleet, self.journal):
-                self._publishers[1].put(part.encode())
-                size += len(part.data)
-        except (CheckpointError, MessageError) as error:
-            _log.exception("no checkpoint can be put")
-            self.problems = [f"no checkpoint can be put, recordings that begin now cannot be verified: {error}"[:300]]
-            return
+        for part in checkpoint.parts(self._instance, self._started, fleet, self.journal):
+            self._publishers[1].put(part.encode())
+            size += len(part.data)
         seconds = round(time.perf_counter() - began, 4)
         _log.info("checkpoint put", bytes=size, seconds=seconds, round=self.journal.number)
 

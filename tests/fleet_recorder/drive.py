@@ -81,7 +81,7 @@ def region(name: str, half: float, *, version: int = 1, seed: int = 0) -> Scenar
         "regions:\n"
         f"  P: {{box: {{x1: [{low[0]}, {high[0]}], x2: [{low[1]}, {high[1]}]}}}}\n"
         f"  O: {{box: {{x1: [{high[0]}, {high[0] + 9}], x2: [{low[1]}, {high[1]}]}}}}\n"
-        "assume: always[0:6 s](P or O) and always[0:6 s](x1**2 + 0.5 * sin(x2) >= -1e3)\n"
+        "assume: always[0:6 s](P or O) and always[0:0.2 s](x1**2 + 0.5 * sin(x2) >= -1e3)\n"
         "monitor: {rests: 'eventually[0:2 s](v <= 0.01)'}\n"
     )
     return ScenarioDocument(scenario=name, version=version, text=text)
