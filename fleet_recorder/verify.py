@@ -16,7 +16,7 @@ from fleet_bus.pubsub import Received
 from fleet_recorder.recorded import Name, Recorded, ServerRecord
 from fleet_recorder.verify_report import Finding, Report, Stretch
 from reach_server.service.build import build
-from reach_server.service.journal import event_digest
+from reach_server.service.journal import IN_FLEET, event_digest
 from reach_server.service.object_codec import CheckpointError
 from reach_server.service.replay import Made, MadeTube, Reference, Replay, Round
 
@@ -190,11 +190,12 @@ def _told(message: Received) -> str:
 
 def _difference(number: int, journaled: Round, made: Made) -> Finding | None:
     """Where what a round leads to is first not what the server had."""
-    if made.failed != journaled.head.failed and (made.failed or journaled.tubes != tuple(made.tubes)):
-        ends = "ended with {} at the server, with {} here"
-        return Finding("failure", number, ends.format(journaled.head.failed or "no error", made.failed or "no error"))
-    # A round that an error ended may have put fewer than it made.
-    here = made.tubes[: len(journaled.tubes)] if journaled.head.failed else made.tubes
+    was_failed = journaled.head.failed
+    if made.failed != was_failed and (made.failed or was_failed.startswith(IN_FLEET)):
+        ends = f"ended with {was_failed or 'no error'} at the server, with {made.failed or 'no error'} here"
+        return Finding("failure", number, ends)
+    # A round that the bus ended may have put fewer than it made.
+    here = made.tubes[: len(journaled.tubes)] if was_failed else made.tubes
     for was, now in zip(journaled.tubes, here, strict=False):
         if was != now:
             other = "" if was[:3] == now[:3] else f", here {now.vehicle} (epoch {now.epoch}, seq {now.seq}) comes first"
@@ -204,7 +205,7 @@ def _difference(number: int, journaled: Round, made: Made) -> Finding | None:
         longer = journaled.tubes if len(journaled.tubes) > len(here) else tuple(here)
         first = longer[min(len(here), len(journaled.tubes))]
         return Finding("tube", number, counts, *first[:3])
-    if list(journaled.events) != [event_digest(event) for event in made.events] and not journaled.head.failed:
+    if list(journaled.events) != [event_digest(event) for event in made.events] and not was_failed:
         place = next(
             (
                 k

@@ -27,6 +27,8 @@ _log = structlog.get_logger(__name__)
 MOST_IDLE: Final = 50
 #: Samples, and tubes, in a message where a round speaks about more vehicles than a message lists.
 CROWDED: Final = int(LISTED.high) // 2
+#: What the name of an error begins with that the fleet itself has raised.
+IN_FLEET: Final = "fleet: "
 #: Bytes that end the payload of a tube: the time that it took to compute, which no two runs share.
 TIMED: Final = 8
 
@@ -41,6 +43,11 @@ def event_digest(event: EngineEvent) -> bytes:
     details = list(chained.from_iterable(event.details.items()))
     packed = msgpack.packb([str(event.kind), event.vehicle, event.t, event.message, details])
     return blake2b(packed, digest_size=DIGEST).digest()
+
+
+def failure(error: Exception, *, inside: bool) -> str:
+    """How a journal names an error; one that the fleet raises is raised again when its rounds are computed anew."""
+    return f"{IN_FLEET if inside else ''}{type(error).__name__}"
 
 
 class Journal:
@@ -73,6 +80,8 @@ class Journal:
         self._tube_digests: list[bytes] = []
         self._event_digests: list[bytes] = []
         self._note = self._failed = ""
+        #: Whether the fleet is at work.
+        self._inside = False
 
     def begin(self, now: float, stamp: int) -> None:
         """A round begins at ``now`` (s, of a clock that never goes back), ``stamp`` (Unix ns)."""
@@ -83,7 +92,7 @@ class Journal:
         """Note that a message is taken in, and what happens by it; raises what ``work`` does."""
         digest = digest_of(item.payload, item.encoding).hex()
         self._calls.append(Call(kind, self._now, item.key, item.source, digest))
-        return self._told(work())
+        return self._done(work)
 
     def hear(self, source: str) -> None:
         """Note that a side-info service was heard."""
@@ -92,10 +101,11 @@ class Journal:
     def process(self, taken: list[tuple[str, Received]]) -> None:
         """Note that samples are taken in, each with its vehicle, in this order."""
         self._calls.append(Call("process", self._now))
-        self._taken = taken
+        self._taken, self._inside = taken, True
 
     def processed(self, events: Sequence[EngineEvent], note: str | None) -> None:
         """Note what happened by the samples, and what their tubes say of the server's load."""
+        self._inside = False
         self._told(events)
         self._note = note or ""
 
@@ -107,7 +117,7 @@ class Journal:
     def elapse(self, work: Callable[[], list[EngineEvent]]) -> list[EngineEvent]:
         """Note that time passes, and what happens by it; raises what ``work`` does."""
         self._calls.append(Call("elapse", self._now))
-        return self._told(work())
+        return self._done(work)
 
     def gone(self, vehicle: str) -> None:
         """Note that a vehicle was found gone."""
@@ -118,8 +128,18 @@ class Journal:
         self._calls.append(Call("let_go", now))
 
     def fail(self, error: Exception) -> None:
-        """Note that an error ends the round."""
-        self._failed = type(error).__name__
+        """Note that an error ends the round, and whether the fleet itself raised it."""
+        self._failed = failure(error, inside=self._inside)
+
+    def _done(self, work: Callable[[], list[EngineEvent]]) -> list[EngineEvent]:
+        self._inside = True
+        try:
+            events = work()
+        except MessageError:
+            self._inside = False
+            raise
+        self._inside = False
+        return self._told(events)
 
     def _told(self, events: Sequence[EngineEvent]) -> list[EngineEvent]:
         self._event_digests += map(event_digest, events)

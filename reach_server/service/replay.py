@@ -15,7 +15,7 @@ from reach_server.data.events import EngineEvent
 from reach_server.service import checkpoint, tube_messages
 from reach_server.service.fleet import Fleet
 from reach_server.service.ingest import decoded
-from reach_server.service.journal import tube_digest
+from reach_server.service.journal import failure, tube_digest
 
 
 class Reference(NamedTuple):
@@ -136,7 +136,7 @@ class Replay:
             # The server refused it as well, or what comes of it differs.
             pass
         except Exception as error:
-            made.failed = type(error).__name__
+            made.failed = failure(error, inside=True)
 
     def _take(self, call: Call, item: Received) -> list[EngineEvent]:
         if call.kind == "profile":
@@ -151,11 +151,13 @@ class Replay:
         taken = [
             (sample.vehicle, replace(find(sample.reference), arrived_ns=sample.arrived)) for sample in journaled.samples
         ]
+        inside = True
         try:
             batches = decoded(taken, self._rejections)
             if not batches:
                 return
             outcome = self._fleet.process(batches, now)
+            inside = False
             made.events += outcome.events
             for tube in tube_messages.of_round(
                 outcome.tubes, journaled.head.note or None,
@@ -163,7 +165,7 @@ class Replay:
             ):  # fmt: skip
                 made.tubes.append(MadeTube(tube.vehicle, tube.epoch, tube.seq, tube_digest(tube.encode())))
         except Exception as error:
-            made.failed = type(error).__name__
+            made.failed = failure(error, inside=inside)
 
 
 def reference(call: Call) -> Reference:

@@ -158,6 +158,8 @@ class ReachServer:
             self._journal.process(taken)
             if batches := decoded(taken, self.rejections):
                 self._process(batches, now)
+            else:
+                self._journal.processed((), None)
         for event in self._journal.elapse(partial(self.fleet.elapse, now)):
             self._outbox.put_event(event)
         self._queries.ask(now)

@@ -71,9 +71,9 @@ class SideInfo:
         self._put(keys.assignment(scenario, vehicle), message.encode(), Assignment.encoding())
 
 
-def region(name: str, half: float, *, version: int = 1, seed: int = 0) -> ScenarioDocument:
-    """A scenario: a car stays within a square, but for a corner that it may be in as well, and comes to rest."""
-    here = history(seed).truth[BEFORE, :2]
+def region(name: str, half: float, *, version: int = 1, at: int = BEFORE) -> ScenarioDocument:
+    """A scenario: a car stays within a square around where it is at a sample, or beside it, and comes to rest."""
+    here = history(0).truth[at, :2]
     low, high = here - half, here + half
     text = (
         f"scenario: {name}\nversion: {version}\nstate: {{x1: m, x2: m, v: m/s}}\n"
