@@ -11,10 +11,8 @@ from fleet_bus import keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import CheckpointPart, JournalRound, ServiceStatus
 from fleet_bus.messages import tube as tube_message
-from fleet_bus.messages.journal import digest_of
+from fleet_bus.messages.journal import Reference, digest_of, tube_digest
 from fleet_bus.pubsub import Received
-from reach_server.service.journal import tube_digest
-from reach_server.service.replay import Reference
 
 #: Bytes in which vehicle, epoch and seq of a tube stand.
 _HEAD: Final = 256

@@ -11,14 +11,14 @@ from typing import Final
 
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import StateSample
-from fleet_bus.messages.journal import BEGINNING, link
+from fleet_bus.messages.journal import BEGINNING, Reference, link
 from fleet_bus.pubsub import Received
 from fleet_recorder.recorded import Name, Recorded, ServerRecord
 from fleet_recorder.verify_report import Finding, Report, Stretch
 from reach_server.service.build import build
 from reach_server.service.journal import IN_FLEET, event_digest
-from reach_server.service.object_codec import CheckpointError
-from reach_server.service.replay import Made, MadeTube, Reference, Replay, Round
+from reach_server.service.object_graph import CheckpointError
+from reach_server.service.replay import Made, MadeTube, Replay, Round
 
 #: Seconds within which a message that no journal names is taken for one that a journal names, but altered.
 NEAR: Final = 1.0

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from operator import attrgetter
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ BEGINNING: Final = "0" * (2 * CHAIN)
 MOST_LISTED: Final = 8192
 MOST_CALLS: Final = 1000
 
+#: Bytes that end the payload of a tube: the time that it took to compute, which no two runs share.
+TIMED: Final = 8
+
 #: What a server does in a round, in the order in which it may.
 CALLS: Final = ("profile", "document", "assignment", "hear", "process", "elapse", "gone", "let_go")
 
@@ -39,6 +42,19 @@ CALLS: Final = ("profile", "document", "assignment", "hear", "process", "elapse"
 def digest_of(payload: bytes, encoding: str) -> bytes:
     """By which a journal names a message, beside its key and its source."""
     return blake2b(payload, digest_size=DIGEST, key=encoding.encode()[:64]).digest()
+
+
+def tube_digest(payload: bytes) -> bytes:
+    """Digest of a tube's payload but for the time that it took to compute."""
+    return blake2b(memoryview(payload)[:-TIMED], digest_size=DIGEST).digest()
+
+
+class Reference(NamedTuple):
+    """What a journal names a message by."""
+
+    key: str
+    source: str
+    digest: bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -341,12 +341,10 @@ class Bytes(Kind):
 
     def read(self, key: str, packed: Any, sizes: Sizes) -> bytes:
         """See ``Kind``."""
-        count = sizes.setdefault(self.size, len(packed) // self.each)
-        if len(packed) != count * self.each or count > self.most:
-            raise MessageError("shape", f"{key!r} holds {len(packed)} bytes: expected {count} times {self.each}")
+        if len(packed) != self.each * (n := sizes.setdefault(self.size, len(packed) // self.each)) or n > self.most:
+            raise MessageError("shape", f"{key!r} holds {len(packed)} bytes: expected {n} times {self.each}")
         return bytes(packed)
 
     def json(self) -> dict[str, Any]:
         """See ``Kind``."""
-        shape = [self.size, str(self.each)] if self.each > 1 else [self.size]
-        return {"type": "string", "contentEncoding": "base64", "x-bytes": shape}
+        return {"type": "string", "contentEncoding": "base64", "x-bytes": [self.size, self.each]}

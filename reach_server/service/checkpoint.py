@@ -9,7 +9,7 @@ from fleet_bus.rejections import Rejections
 from reach_server.service.build import build
 from reach_server.service.fleet import Fleet
 from reach_server.service.journal import Journal
-from reach_server.service.object_codec import CheckpointError
+from reach_server.service.object_graph import CheckpointError
 
 
 def _digest(state: bytes) -> str:

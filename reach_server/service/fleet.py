@@ -19,8 +19,9 @@ from reach_server.data.events import EngineEvent
 from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine, PlannedInputs
 from reach_server.engine.results import Tubes
-from reach_server.service import object_codec
+from reach_server.service import object_reader, object_writer
 from reach_server.service.ingest import VehicleBatch
+from reach_server.service.object_graph import CheckpointError
 from reach_server.service.profiles import Profiles
 from reach_server.service.registry import VehicleRegistry
 from reach_server.service.sample_admission import SampleAdmission
@@ -67,15 +68,15 @@ class Fleet:
 
     def snapshot(self) -> bytes:
         """All that the next rounds depend on; raises ``CheckpointError`` for what cannot be written."""
-        return object_codec.dump(self, {"rejections": self._rejections, "stamp": self._stamp})
+        return object_writer.dump(self, {"rejections": self._rejections, "stamp": self._stamp})
 
     @classmethod
     def restored(cls, snapshot: bytes, rejections: Rejections, stamp: Callable[[], int] | None = None) -> "Fleet":
         """A fleet that goes on as the one goes whose snapshot this is, to the last bit; raises ``CheckpointError`` for
         bytes that are none, or of another version of the program."""
-        fleet = object_codec.load(snapshot, {"rejections": rejections, "stamp": stamp})
+        fleet = object_reader.load(snapshot, {"rejections": rejections, "stamp": stamp})
         if not isinstance(fleet, cls):
-            raise object_codec.CheckpointError(f"a {type(fleet).__name__} where a fleet is expected")
+            raise CheckpointError(f"a {type(fleet).__name__} where a fleet is expected")
         return fleet
 
     @property

@@ -15,7 +15,16 @@ import structlog
 
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import JournalRound, ReachTube
-from fleet_bus.messages.journal import BEGINNING, DIGEST, MOST_CALLS, MOST_LISTED, Call, digest_of, link
+from fleet_bus.messages.journal import (
+    BEGINNING,
+    DIGEST,
+    MOST_CALLS,
+    MOST_LISTED,
+    Call,
+    digest_of,
+    link,
+    tube_digest,
+)
 from fleet_bus.messages.ranges import LISTED
 from fleet_bus.pubsub import Received
 from reach_server.data.events import EngineEvent
@@ -29,13 +38,6 @@ MOST_IDLE: Final = 50
 CROWDED: Final = int(LISTED.high) // 2
 #: What the name of an error begins with that the fleet itself has raised.
 IN_FLEET: Final = "fleet: "
-#: Bytes that end the payload of a tube: the time that it took to compute, which no two runs share.
-TIMED: Final = 8
-
-
-def tube_digest(payload: bytes) -> bytes:
-    """Digest of a tube's payload but for the time that it took to compute."""
-    return blake2b(memoryview(payload)[:-TIMED], digest_size=DIGEST).digest()
 
 
 def event_digest(event: EngineEvent) -> bytes:

@@ -8,22 +8,14 @@ from typing import NamedTuple
 from fleet_bus import keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import Assignment, CheckpointPart, JournalRound, ScenarioDocument, VehicleProfile
-from fleet_bus.messages.journal import DIGEST, Call
+from fleet_bus.messages.journal import DIGEST, Call, Reference, tube_digest
 from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from reach_server.data.events import EngineEvent
 from reach_server.service import checkpoint, tube_messages
 from reach_server.service.fleet import Fleet
 from reach_server.service.ingest import decoded
-from reach_server.service.journal import failure, tube_digest
-
-
-class Reference(NamedTuple):
-    """What a journal names a message by."""
-
-    key: str
-    source: str
-    digest: bytes
+from reach_server.service.journal import failure
 
 
 class Sample(NamedTuple):

@@ -14,12 +14,12 @@ import pytest
 from fleet_bus.messages import Assignment, Label, StateFlag, VehicleProfile
 from fleet_bus.rejections import Rejections
 from fleet_bus.writers import Source
-from reach_server.service import object_codec as codec
-from reach_server.service import tube_messages
+from reach_server.service import object_graph as graph
+from reach_server.service import object_reader, object_writer, tube_messages
 from reach_server.service.fleet import Fleet
 from reach_server.service.ingest import VehicleBatch
 from reach_server.service.journal import event_digest
-from reach_server.service.object_codec import CheckpointError
+from reach_server.service.object_graph import CheckpointError
 from tests.fleet_recorder.drive import region
 from tests.reach_server.drives import PROFILE, START, SVEA
 from tests.reach_server.service.fleet_desk import Desk
@@ -155,7 +155,7 @@ def test_a_snapshot_changes_nothing_and_shares_nothing() -> None:
 
 # --- the codec --------------------------------------------------------------------------------------------------------
 def again(value: object) -> Any:
-    return codec.load(codec.dump(value, {}), {})
+    return object_reader.load(object_writer.dump(value, {}), {})
 
 
 def test_values_come_back_as_they_are() -> None:
@@ -212,7 +212,7 @@ class Foreign:
 )  # fmt: skip
 def test_what_could_not_be_restored_is_not_written(value: object) -> None:
     with pytest.raises(CheckpointError):
-        codec.dump(value, {})
+        object_writer.dump(value, {})
 
 
 def packed(*records: tuple[Any, ...]) -> bytes:
@@ -220,43 +220,43 @@ def packed(*records: tuple[Any, ...]) -> bytes:
 
 
 REFUSED: dict[str, bytes] = {
-    "a class of another module": packed((codec.CLASS, "os", "_Environ", [])),
-    "a class that was reached through a module": packed((codec.CLASS, "reach_server.engine.engine", "np.ndarray", [])),
-    "a class that was imported": packed((codec.CLASS, "reach_server.service.fleet", "Counter", [])),
-    "a name that is no class": packed((codec.CLASS, "reach_server.engine.engine", "notices", [])),
-    "a function": packed((codec.CLASS, "reach_server.methods.registry", "find", [])),
-    "a module that is not loaded": packed((codec.CLASS, "reach_server.engine.nothing", "X", [])),
-    "a module beside the allowed ones": packed((codec.CLASS, "reach_server.enginex", "X", [])),
-    "other attributes": packed((codec.CLASS, "reach_server.service.registry", "VehicleRegistry", ["x"])),
+    "a class of another module": packed((graph.CLASS, "os", "_Environ", [])),
+    "a class that was reached through a module": packed((graph.CLASS, "reach_server.engine.engine", "np.ndarray", [])),
+    "a class that was imported": packed((graph.CLASS, "reach_server.service.fleet", "Rejections", [])),
+    "a name that is no class": packed((graph.CLASS, "reach_server.engine.engine", "notices", [])),
+    "a function": packed((graph.CLASS, "reach_server.methods.registry", "find", [])),
+    "a module that is not loaded": packed((graph.CLASS, "reach_server.engine.nothing", "X", [])),
+    "a module beside the allowed ones": packed((graph.CLASS, "reach_server.enginex", "X", [])),
+    "other attributes": packed((graph.CLASS, "reach_server.service.registry", "VehicleRegistry", ["x"])),
     "a method that there is not": packed(
-        (codec.CLASS, "reach_server.service.registry", "VehicleRegistry", []),
-        (codec.OBJECT, 0),
-        (codec.METHOD, [0], "__class__"),
+        (graph.CLASS, "reach_server.service.registry", "VehicleRegistry", []),
+        (graph.OBJECT, 0),
+        (graph.METHOD, [0], "__class__"),
     ),
-    "a method of a list": packed((codec.LIST,), (codec.METHOD, [0], "append")),
+    "a method of a list": packed((graph.LIST,), (graph.METHOD, [0], "append")),
     "attributes that a class has not": packed(
-        (codec.CLASS, "fleet_bus.writers", "Writer", []), (codec.OBJECT, 0), (codec.FILL, 0, *range(9), "x", 1)
+        (graph.CLASS, "fleet_bus.writers", "Writer", []), (graph.OBJECT, 0), (graph.FILL, 0, *range(9), "x", 1)
     ),
-    "an array beyond its memory": packed((codec.MEMORY, b"12345678"), (codec.ARRAY, [0], "<f8", [2], [8], 0, True)),
-    "an array before its memory": packed((codec.MEMORY, b"12345678"), (codec.ARRAY, [0], "<f8", [1], [8], -8, True)),
-    "an array of objects": packed((codec.MEMORY, b"12345678"), (codec.ARRAY, [0], "O", [1], [8], 0, True)),
-    "an array that is too large": packed((codec.MEMORY, b"12345678"), (codec.ARRAY, [0], "<f8", [2**40], [0], 0, True)),
-    "a reference to what is not there": packed((codec.TUPLE, [5])),
-    "a reference backwards": packed((codec.LIST,), (codec.TUPLE, [-1])),
+    "an array beyond its memory": packed((graph.MEMORY, b"12345678"), (graph.ARRAY, [0], "<f8", [2], [8], 0, True)),
+    "an array before its memory": packed((graph.MEMORY, b"12345678"), (graph.ARRAY, [0], "<f8", [1], [8], -8, True)),
+    "an array of objects": packed((graph.MEMORY, b"12345678"), (graph.ARRAY, [0], "O", [1], [8], 0, True)),
+    "an array that is too large": packed((graph.MEMORY, b"12345678"), (graph.ARRAY, [0], "<f8", [2**40], [0], 0, True)),
+    "a reference to what is not there": packed((graph.TUPLE, [5])),
+    "a reference backwards": packed((graph.LIST,), (graph.TUPLE, [-1])),
     "a kind that there is not": packed((99,)),
-    "something given that is not": packed((codec.GIVEN, "clock")),
-    "an operation that there is not": packed((codec.OPERATION, 12345)),
+    "something given that is not": packed((graph.GIVEN, "clock")),
+    "an operation that there is not": packed((graph.OPERATION, 12345)),
     "a member that there is not": packed(
-        (codec.CLASS, "fleet_bus.messages.tube", "Label", []), (codec.ENUM, 0, "MINE")
+        (graph.CLASS, "fleet_bus.messages.tube", "Label", []), (graph.ENUM, 0, "MINE")
     ),
-    "an object of a named tuple": packed((codec.CLASS, "fleet_bus.writers", "Source", []), (codec.OBJECT, 0)),
+    "an object of a named tuple": packed((graph.CLASS, "fleet_bus.writers", "Source", []), (graph.OBJECT, 0)),
     "a named tuple of another length": packed(
-        (codec.CLASS, "fleet_bus.writers", "Source", []), (codec.NAMED_TUPLE, 0, "a")
+        (graph.CLASS, "fleet_bus.writers", "Source", []), (graph.NAMED_TUPLE, 0, "a")
     ),
-    "a key that has no hash": packed((codec.DICT,), (codec.LIST,), (codec.FILL, 0, [1], 1)),
+    "a key that has no hash": packed((graph.DICT,), (graph.LIST,), (graph.FILL, 0, [1], 1)),
     "nothing": b"",
     "no record": packed(()),
-    "half a record": packed((codec.TUPLE, 1, 2))[:-1],
+    "half a record": packed((graph.TUPLE, 1, 2))[:-1],
     "no msgpack": b"\xc1",
     "pickle": b"\x80\x04N.",
 }
@@ -265,7 +265,7 @@ REFUSED: dict[str, bytes] = {
 @pytest.mark.parametrize("what", REFUSED)
 def test_bytes_that_no_fleet_wrote_are_refused(what: str) -> None:
     with pytest.raises(CheckpointError):
-        codec.load(REFUSED[what], {})
+        object_reader.load(REFUSED[what], {})
 
 
 @pytest.mark.slow
@@ -287,7 +287,7 @@ def test_a_snapshot_that_is_cut_or_altered_is_refused_or_read_but_never_more() -
 
 def test_a_snapshot_of_something_else_is_no_fleet() -> None:
     with pytest.raises(CheckpointError, match="a list where a fleet is expected"):
-        Fleet.restored(codec.dump([], {"rejections": Rejections(), "stamp": stamp}), Rejections())
+        Fleet.restored(object_writer.dump([], {"rejections": Rejections(), "stamp": stamp}), Rejections())
 
 
 def test_profiles_come_back_with_all_that_they_are() -> None:
