@@ -88,11 +88,11 @@ class JournalRound:
     a ``part`` of it, (which, of how many).
 
     ``idle`` (I,) are the times (s) of the rounds before it in which nothing came or went but time. ``calls`` is what
-    it did; ``process`` took in the samples (S,) of ``vehicles[sample_vehicle]``, sent by ``sessions[sample_session]``,
-    which came at ``arrived`` (Unix ns, 0: not known), in this order. The tubes (T,) of ``vehicles[tube_vehicle]`` start
-    from the samples (``tube_epoch``, ``tube_seq``), and say ``note``. Digests are 8 bytes each. ``failed`` names the
-    error that ended the round. ``totals``: samples, tubes and events so far. ``chain`` is that of all messages of the
-    server up to this one: see ``link``.
+    it did; ``process`` took in the samples (S) of ``sample_vehicle`` (S,), places in ``vehicles``, which came from
+    ``sample_session`` (S,), places in ``sessions``, at ``arrived`` (S,) (Unix ns, 0: not known), in this order. The
+    tubes (T) of ``tube_vehicle`` (T,) start from the samples ``tube_epoch`` (T,), ``tube_seq`` (T,), and say ``note``.
+    Digests are 8 bytes each. ``failed`` names the error that ended the round. ``totals``: samples, tubes and events so
+    far. ``chain`` is that of all messages of the server up to this one: see ``link``.
     """
 
     server: str
