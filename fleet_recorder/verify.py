@@ -158,10 +158,11 @@ class _Server:
         return Finding("missing", number, what, vehicle, epoch, seq, wanted.key)
 
     def _unnamed(self, wanted: Reference) -> list[Received]:
-        """Messages of the same key and source that no round of this server took in."""
+        """Messages of the same key and source that no round of any server took in."""
         known = {
             reference
-            for parts in self._record.rounds.values()
+            for record in self._recorded.servers.values()
+            for parts in record.rounds.values()
             for reference in Round.of([parts[place][1] for place in sorted(parts)]).needed
         }
         return [m for r, m in self._recorded.inputs.items() if r[:2] == wanted[:2] and r not in known]

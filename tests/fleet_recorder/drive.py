@@ -137,7 +137,7 @@ class World:
         return server
 
 
-def a_drive(seconds: float = 2.0) -> World:
+def a_drive(seconds: float = 1.5) -> World:
     """Three cars of different classes, one of whose profiles comes late, and two scenarios; one car changes its
     profile, a scenario its version, and the server starts anew in the middle."""
     world = World()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import msgpack
+import numpy as np
 import pytest
 
 from fleet_bus import keys
@@ -12,6 +13,9 @@ from fleet_bus.messages import JournalRound, StateSample
 from fleet_bus.pubsub import Received
 from fleet_recorder.verify import verify
 from fleet_recorder.verify_report import Finding, Report
+from reach_server.engine.engine import Engine, PlannedInputs
+from reach_server.engine.results import Tubes
+from reach_server.numeric.types import IndexArray
 from tests.fleet_recorder.drive import BEFORE, PROFILES, SECOND, World, a_drive, region
 
 pytestmark = pytest.mark.slow
@@ -59,10 +63,10 @@ def test_a_recording_of_two_starts_gives_the_same_tubes_again(recording: list[Re
     assert report.equal, "\n".join(report.lines())
     assert [stretch.begins for stretch in report.stretches] == ["the checkpoint after round 1"] * 2
     put = [m for m in recording if m.key.endswith("/tube")]
-    assert report.recorded == report.total("tubes") > 3 * 2 * SECOND
+    assert report.recorded == report.total("tubes") > 4 * SECOND
     # Those of the rounds in which the recorder was only just seen are recorded, too.
     assert len(put) - report.recorded <= 6
-    assert report.total("samples") > 6 * SECOND
+    assert report.total("samples") > 8 * SECOND
     assert report.total("events") >= 1
     assert report.unclaimed == 0
     assert report.json()["equal"] is True
@@ -204,6 +208,47 @@ def test_a_recorder_that_begins_another_file_misses_no_round() -> None:
     second = verify(world.messages[cut:])
     assert second.equal
     assert len(verify(world.messages).stretches) == 1
+
+
+def test_an_error_of_the_fleet_comes_again_or_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World()
+    world.add("a", PROFILES["set_membership"])
+    world.before()
+    world.record()
+    original = Engine.predict
+
+    def predict(self: Engine, slots: IndexArray, known: PlannedInputs | None = None) -> Tubes:
+        if int(self.window.newest(slots)[1].max()) == BEFORE + 12:
+            raise ValueError("a sample that nobody has thought of")
+        return original(self, slots, known)
+
+    monkeypatch.setattr(Engine, "predict", predict)
+    world.serve(1.0)
+    assert {r.failed for _, r in rounds(world.messages)} == {"", "fleet: ValueError"}
+    assert verify(world.messages).equal
+    monkeypatch.undo()
+    found = the_finding(verify(world.messages))
+    assert found.kind == "failure"
+    assert "fleet: ValueError at the server, with no error here" in found.what
+
+
+def test_a_fleet_that_computes_otherwise_is_found_at_its_first_tube(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World()
+    world.add("a", PROFILES["set_membership"])
+    world.before()
+    world.record()
+    world.serve(1.0)
+    original = Engine.predict
+
+    def predict(self: Engine, slots: IndexArray, known: PlannedInputs | None = None) -> Tubes:
+        made = original(self, slots, known)
+        if int(self.window.newest(slots)[1].max()) < BEFORE + 12:
+            return made
+        return replace(made, area=np.nextafter(made.area, np.inf))
+
+    monkeypatch.setattr(Engine, "predict", predict)
+    found = the_finding(verify(world.messages))
+    assert (found.kind, found.vehicle, found.epoch, found.seq) == ("tube", "a", 1, BEFORE + 12)
 
 
 def test_a_round_that_an_error_ended_is_computed_anew_up_to_it() -> None:
