@@ -77,6 +77,18 @@ class Recorded:
             if "value" in status.chain and (number := status.chain.get("round", "")).isdecimal():
                 self.servers[status.instance, status.started].told[int(number)] = status.chain["value"]
 
+    def taken(self, like: Reference) -> list[Reference]:
+        """What servers took in of the key and source of a message, in their order."""
+        chosen = [
+            reference
+            for _, record in sorted(self.servers.items(), key=lambda item: item[0][::-1])
+            for _, parts in sorted(record.rounds.items())
+            for _, (_, part) in sorted(parts.items())
+            for reference in part.references
+            if reference[:2] == like[:2]
+        ]
+        return list(dict.fromkeys(chosen))
+
 
 def _check_key(found: str, expected: str) -> None:
     if found != expected:

@@ -20,8 +20,6 @@ from reach_server.service.journal import IN_FLEET, event_digest
 from reach_server.service.object_graph import CheckpointError
 from reach_server.service.replay import Made, MadeTube, Replay, Round
 
-#: Seconds within which a message that no journal names is taken for one that a journal names, but altered.
-NEAR: Final = 1.0
 #: Findings of recorded tubes that are listed.
 MOST_FINDINGS: Final = 20
 
@@ -145,27 +143,25 @@ class _Server:
         if not absent:
             return None
         wanted = absent[0]
-        arrived = next((s.arrived for s in journaled.samples if s.reference == wanted), journaled.head.stamp)
-        like = self._unnamed(wanted)
-        nearest = min(like, key=lambda m: abs(m.arrived_ns - arrived), default=None)
         more = f", and {len(absent) - 1} more of this round" if len(absent) > 1 else ""
         named = f"of {wanted.key} from session {wanted.source[:8]}, digest {wanted.digest.hex()}"
         vehicle, epoch, seq, _ = self._first_tube(number, wanted) or MadeTube("", 0, 0, b"")
-        if nearest is not None and abs(nearest.arrived_ns - arrived) <= NEAR * 1e9:
-            what = f"a message {named}, which the server took in, was altered: in its place is {_told(nearest)}{more}"
+        if (other := self._in_place_of(wanted)) is not None:
+            what = f"a message {named}, which the server took in, was altered: in its place is {_told(other)}{more}"
             return Finding("altered", number, what, vehicle, epoch, seq, wanted.key)
         what = f"a message {named}, which the server took in, is not in the recording{more}"
         return Finding("missing", number, what, vehicle, epoch, seq, wanted.key)
 
-    def _unnamed(self, wanted: Reference) -> list[Received]:
-        """Messages of the same key and source that no round of any server took in."""
-        known = {
-            reference
-            for record in self._recorded.servers.values()
-            for parts in record.rounds.values()
-            for reference in Round.of([parts[place][1] for place in sorted(parts)]).needed
-        }
-        return [m for r, m in self._recorded.inputs.items() if r[:2] == wanted[:2] and r not in known]
+    def _in_place_of(self, wanted: Reference) -> Received | None:
+        """A message that no server took in, and that stands where one that is wanted should."""
+        inputs, taken = self._recorded.inputs, self._recorded.taken(wanted)
+        same = [(reference, message) for reference, message in inputs.items() if reference[:2] == wanted[:2]]
+        known = set(taken)
+        others = [message for reference, message in same if reference not in known]
+        place = taken.index(wanted)
+        before = next((inputs[r] for r in taken[place::-1] if r in inputs), None)
+        after = next((inputs[r] for r in taken[place:] if r in inputs), None)
+        return next((message for message in others if _between(before, message, after)), None)
 
     def _first_tube(self, number: int, wanted: Reference) -> MadeTube | None:
         """The first tube, from a round on, of the vehicle whose message it is."""
@@ -176,6 +172,25 @@ class _Server:
                 if vehicle is None or tube.vehicle == vehicle:
                     return tube
         return None
+
+
+def _between(before: Received | None, message: Received, after: Received | None) -> bool:
+    """Whether a message came between two others of its source, or is a sample between theirs by its number."""
+    numbers = [_number(one) for one in (before, message, after)]
+    if None not in numbers and numbers[0] < numbers[1] < numbers[2]:  # type: ignore[operator]
+        return True
+    return (before is None or before.arrived_ns <= message.arrived_ns) and (
+        after is None or message.arrived_ns <= after.arrived_ns
+    )
+
+
+def _number(message: Received | None) -> tuple[int, int] | None:
+    """Epoch and seq of a sample, if it is one that can be read."""
+    try:
+        sample = None if message is None else StateSample.decode(message.payload, message.encoding)
+    except MessageError:
+        return None
+    return None if sample is None else (sample.epoch, sample.seq)
 
 
 def _told(message: Received) -> str:

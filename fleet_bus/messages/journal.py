@@ -28,6 +28,7 @@ DIGEST: Final = 8
 CHAIN: Final = 16
 #: Chain before the first round of a server.
 BEGINNING: Final = "0" * (2 * CHAIN)
+_DIGEST: Final = re.compile("[0-9a-f]{16}")
 #: Samples, and tubes, that one message lists at most, and calls.
 MOST_LISTED: Final = 8192
 MOST_CALLS: Final = 1000
@@ -42,6 +43,11 @@ CALLS: Final = ("profile", "document", "assignment", "hear", "process", "elapse"
 def digest_of(payload: bytes, encoding: str) -> bytes:
     """By which a journal names a message, beside its key and its source."""
     return blake2b(payload, digest_size=DIGEST, key=encoding.encode()[:64]).digest()
+
+
+def digests(packed: bytes) -> list[bytes]:
+    """Digests that follow each other, one by one."""
+    return [packed[at : at + DIGEST] for at in range(0, len(packed), DIGEST)]
 
 
 def tube_digest(payload: bytes) -> bytes:
@@ -135,12 +141,32 @@ class JournalRound:
         found._check()
         return found
 
+    @property
+    def references(self) -> list[Reference]:
+        """The messages that were taken in: documents, then samples, in their order."""
+        documents = [
+            Reference(call.subject, call.source, bytes.fromhex(call.digest)) for call in self.calls if call.digest
+        ]
+        places = zip(
+            self.sample_vehicle.tolist(), self.sample_session.tolist(), digests(self.sample_digest), strict=True
+        )
+        return documents + [
+            Reference(keys.state(self.vehicles[vehicle]), self.sessions[session], digest)
+            for vehicle, session, digest in places
+        ]
+
     def _check(self) -> None:
         part, parts = self.part
         if part > parts:
             raise MessageError("range", f"p is part {part} of {parts}")
         if len(self.calls) > MOST_CALLS:
             raise MessageError("shape", f"c holds {len(self.calls)} calls: at most {MOST_CALLS}")
+        for call in self.calls:
+            if call.digest and _DIGEST.fullmatch(call.digest) is None:
+                raise MessageError("fields", f"c holds {call.digest!r:.40}: expected a digest of {2 * DIGEST} digits")
+        for name in self.vehicles:
+            if keys.ID_PATTERN.fullmatch(name) is None:
+                raise MessageError("fields", f"v holds {name!r:.80}: expected ids of vehicles")
         for name, places, listed in (
             ("kv", self.sample_vehicle, self.vehicles),
             ("ks", self.sample_session, self.sessions),

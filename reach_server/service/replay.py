@@ -8,7 +8,7 @@ from typing import NamedTuple
 from fleet_bus import keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import Assignment, CheckpointPart, JournalRound, ScenarioDocument, VehicleProfile
-from fleet_bus.messages.journal import DIGEST, Call, Reference, tube_digest
+from fleet_bus.messages.journal import Call, Reference, digests, tube_digest
 from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from reach_server.data.events import EngineEvent
@@ -55,19 +55,16 @@ class Round:
         events: list[bytes] = []
         for part in parts:
             calls += part.calls
-            places = zip(
-                part.sample_vehicle.tolist(), part.sample_session.tolist(), _digests(part.sample_digest),
-                part.arrived.tolist(), strict=True,
-            )  # fmt: skip
-            for vehicle, session, digest, arrived in places:
-                name = part.vehicles[vehicle]
-                samples.append(Sample(name, Reference(keys.state(name), part.sessions[session], digest), arrived))
+            named = part.references
+            found = named[len(named) - len(part.arrived) :]
+            vehicles = [part.vehicles[place] for place in part.sample_vehicle.tolist()]
+            samples += map(Sample, vehicles, found, part.arrived.tolist())
             made = zip(
                 part.tube_vehicle.tolist(), part.tube_epoch.tolist(), part.tube_seq.tolist(),
-                _digests(part.tube_digest), strict=True,
+                digests(part.tube_digest), strict=True,
             )  # fmt: skip
             tubes += [MadeTube(part.vehicles[vehicle], epoch, seq, digest) for vehicle, epoch, seq, digest in made]
-            events += _digests(part.event_digest)
+            events += digests(part.event_digest)
         return cls(parts[0], tuple(calls), tuple(samples), tuple(tubes), tuple(events), parts[-1].chain)
 
     @property
@@ -163,7 +160,3 @@ class Replay:
 def reference(call: Call) -> Reference:
     """The message that a call took in."""
     return Reference(call.subject, call.source, bytes.fromhex(call.digest))
-
-
-def _digests(packed: bytes) -> list[bytes]:
-    return [packed[at : at + DIGEST] for at in range(0, len(packed), DIGEST)]

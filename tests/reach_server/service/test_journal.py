@@ -9,7 +9,7 @@ import pytest
 from fleet_bus import keys
 from fleet_bus.errors import MessageError
 from fleet_bus.messages import EventKind, JournalRound, ReachTube
-from fleet_bus.messages.journal import BEGINNING, MOST_CALLS, MOST_LISTED, digest_of, link, tube_digest
+from fleet_bus.messages.journal import BEGINNING, MOST_CALLS, MOST_LISTED, Call, digest_of, link, tube_digest
 from fleet_bus.pubsub import Received
 from reach_server.data.events import EngineEvent
 from reach_server.service.journal import MOST_IDLE, Journal, event_digest, failure
@@ -187,6 +187,9 @@ def test_places_and_parts_that_cannot_be_are_refused() -> None:
         ({"sample_session": places}, "ks is 2: expected places among 1 names"),
         ({"tube_vehicle": places[:1] + 2}, "tv is 2"),
         ({"part": (3, 2)}, "part 3 of 2"),
+        ({"vehicles": ("a/b", "c")}, "v holds 'a/b'"),
+        ({"calls": (Call("profile", 1.0, digest="xy"),)}, "c holds 'xy'"),
+        ({"calls": (Call("elapse", 1.0),) * 1001}, "c holds 1001 calls"),
     ):
         with pytest.raises(MessageError, match=text):
             a_round(**change).encode()
