@@ -247,4 +247,6 @@ def _compare_recorded(recorded: Recorded, report: Report, named: dict[Name, set[
         if digest not in known and name in named and name not in whole and len(report.findings) < MOST_FINDINGS:
             report.findings.append(Finding("recorded", 0, "a recorded tube is not the one that the server put", *name))
     if lost := len(named.keys() - whole):
-        report.notes.append(f"{lost} tubes that were computed anew are not in the recording as the server put them")
+        report.notes.append(
+            f"{lost} tubes that were computed anew are not in the recording: they were lost on their way to it"
+        )

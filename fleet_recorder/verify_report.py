@@ -95,9 +95,10 @@ class Report:
         for finding in self.all_findings:
             yield f"  {finding}"
         for stretch in self.stretches:
+            rounds = f"rounds {stretch.first} to {stretch.last}" if stretch.rounds else "no round"
             yield (
-                f"server {stretch.server} started {stretch.server_epoch}: rounds {stretch.first} to {stretch.last} "
-                f"from {stretch.begins}, {stretch.samples} samples, {stretch.tubes} tubes"
+                f"server {stretch.server} started {stretch.server_epoch}: {rounds} from {stretch.begins}, "
+                f"{stretch.samples} samples, {stretch.tubes} tubes"
             )
         if self.unclaimed:
             yield f"{self.unclaimed} rounds without a claim: before the first checkpoint, or after what was found"
