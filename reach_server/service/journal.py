@@ -153,11 +153,13 @@ class Journal:
             return
         self._open = False
         idle = len(self._calls) == 1 and self._calls[0].kind == "elapse" and not (self._event_digests or self._failed)
-        if idle and len(self._idle) < MOST_IDLE:
-            self._idle.append(self._now)
-        else:
-            self._write()
-        self._clear()
+        try:
+            if idle and len(self._idle) < MOST_IDLE:
+                self._idle.append(self._now)
+            else:
+                self._write()
+        finally:
+            self._clear()
 
     def flush(self) -> None:
         """Between rounds: write down those without any input that are not yet."""
@@ -171,7 +173,8 @@ class Journal:
         except MessageError as error:
             # The gap in the numbers tells that this round cannot be computed anew; the service goes on.
             _log.warning("a round could not be written down", round=self.number, error=str(error))
-        self._idle = []
+        finally:
+            self._idle = []
 
     def _write_parts(self) -> None:
         came = len(self._taken), len(self._tubes), len(self._event_digests)

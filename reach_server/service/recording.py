@@ -20,6 +20,8 @@ _log = structlog.get_logger(__name__)
 JOURNAL_CACHE: Final = 256
 #: Seconds for which the journal goes on when no recorder is in sight: one that begins another file misses no round.
 LINGER: Final = 5.0
+#: Seconds between two checkpoints at least, however many recorders come: rounds wait for them.
+INTERVAL: Final = 0.5
 
 
 class Recording:
@@ -35,7 +37,7 @@ class Recording:
         self._started = started
         self._recorders: set[str] = set()
         self._wanted = self._listening = False
-        self._heard = -float("inf")
+        self._heard = self._put_at = -float("inf")
         self._publishers: tuple[Publisher, Publisher] | None = None
         #: Why recordings of now cannot be verified, if so.
         self.problems: list[str] = []
@@ -63,8 +65,8 @@ class Recording:
         """A round is over at ``now`` (s): write it down, and put a checkpoint for who has come meanwhile."""
         try:
             self.journal.end()
-            if self._wanted:
-                self._wanted = False
+            if self._wanted and now - self._put_at >= INTERVAL:
+                self._wanted, self._put_at = False, now
                 self.journal.flush()
                 self._put_checkpoint(fleet)
                 self.problems = []

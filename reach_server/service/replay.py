@@ -108,12 +108,8 @@ class Replay:
                 self._process(made, journaled, find, call.now)
             elif call.kind == "elapse":
                 self._do(made, partial(self._fleet.elapse, call.now))
-            elif call.kind == "hear":
-                self._fleet.hear_service(call.source, call.now)
-            elif call.kind == "gone":
-                self._fleet.mark_gone(call.subject)
-            elif call.kind == "let_go":
-                self._fleet.let_go(call.now)
+            elif call.kind in ("hear", "gone", "let_go"):
+                self._do(made, partial(self._note, call))
             else:
                 self._do(made, partial(self._take, call, find(reference(call))))
         return made
@@ -126,6 +122,15 @@ class Replay:
             pass
         except Exception as error:
             made.failed = failure(error, inside=True)
+
+    def _note(self, call: Call) -> list[EngineEvent]:
+        if call.kind == "hear":
+            self._fleet.hear_service(call.source, call.now)
+        elif call.kind == "gone":
+            self._fleet.mark_gone(call.subject)
+        else:
+            self._fleet.let_go(call.now)
+        return []
 
     def _take(self, call: Call, item: Received) -> list[EngineEvent]:
         if call.kind == "profile":

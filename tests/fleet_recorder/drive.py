@@ -33,7 +33,7 @@ class Car:
     ) -> None:
         bus = network.bus()
         self.vehicle = vehicle
-        bus.alive(keys.alive(vehicle))
+        self.token = bus.alive(keys.alive(vehicle))
         self.profiles: Publisher = bus.publisher(keys.profile(vehicle), VehicleProfile.encoding(), cache=1)
         self.states: Publisher = bus.publisher(keys.state(vehicle), ENCODING, cache=1000)
         self._history = history(seed)

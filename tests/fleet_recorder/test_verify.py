@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from fleet_bus import keys
-from fleet_bus.messages import JournalRound, StateSample
+from fleet_bus.messages import JournalRound, ReachTube, StateSample
 from fleet_bus.pubsub import Received
 from fleet_recorder.verify import verify
 from fleet_recorder.verify_report import Finding, Report
 from reach_server.engine.engine import Engine, PlannedInputs
 from reach_server.engine.results import Tubes
 from reach_server.numeric.types import IndexArray
+from reach_server.service import registry
 from tests.fleet_recorder.drive import BEFORE, PROFILES, SECOND, World, a_drive, region
 
 pytestmark = pytest.mark.slow
@@ -208,6 +209,27 @@ def test_a_recorder_that_begins_another_file_misses_no_round() -> None:
     second = verify(world.messages[cut:])
     assert second.equal
     assert len(verify(world.messages).stretches) == 1
+
+
+def test_who_leaves_is_let_go_and_another_gets_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "LEAST_SILENT_KEPT", 0)
+    world = World()
+    for vehicle in ("a", "b"):
+        world.add(vehicle, PROFILES["set_membership"])
+    world.before()
+    world.record()
+
+    def leave() -> None:
+        world.cars.pop().token.close()
+
+    def come() -> None:
+        world.add("c", PROFILES["set_membership"]).drive(BEFORE)
+
+    world.serve(6.0, {5: leave, 5 * SECOND: come})
+    assert [call.subject for _, r in rounds(world.messages) for call in r.calls if call.kind == "gone"] == ["b"]
+    report = verify(world.messages)
+    assert report.equal, "\n".join(report.lines())
+    assert {ReachTube.decode(m.payload).vehicle for m in world.messages[-60:] if m.key.endswith("/tube")} == {"a", "c"}
 
 
 def test_an_error_of_the_fleet_comes_again_or_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,6 +166,27 @@ def test_a_round_that_cannot_be_written_leaves_a_gap() -> None:
     assert taken(notes, samples(1)).head.number == 2
 
 
+def test_a_round_that_cannot_be_put_is_not_written_down_again() -> None:
+    put: list[bytes] = []
+
+    def full(payload: bytes) -> None:
+        put.append(payload)
+        if len(put) == 1:
+            raise OSError("nobody there")
+
+    journal = Journal("one", T0, full)
+    for k in range(2):
+        journal.begin(float(k), T0)
+        journal.gone(f"v{k}")
+        if k == 0:
+            with pytest.raises(OSError, match="nobody there"):
+                journal.end()
+        journal.end()
+    second = JournalRound.decode(put[1])
+    assert (second.number, [call.subject for call in second.calls]) == (2, ["v1"])
+    assert second.chain == link(JournalRound.decode(put[0]).chain, put[1])
+
+
 def test_digests_tell_what_counts() -> None:
     tube = a_tube()
     slow = replace(tube, compute_seconds=0.5)
