@@ -169,7 +169,7 @@ def tubes(field: str, number: float) -> bytes:
 def rounds(field: str, number: float) -> bytes:
     fields = msgpack.unpackb(a_round().encode())
     many = {"v": [f"v{k}" for k in range(1000)], "s": [f"s{k}" for k in range(1000)]}
-    if field in ("kv", "ks", "tv", "ka", "te", "ts", "i"):
+    if field in ("kv", "ks", "tv", "ka", "ep", "sq", "i"):
         dtype = {"kv": "<u2", "ks": "<u2", "tv": "<u2", "i": "<f8"}.get(field, "<i8")
         array = np.frombuffer(fields[field], dtype=dtype).copy()
         array[-1] = number
