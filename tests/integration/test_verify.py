@@ -53,7 +53,7 @@ def test_two_servers_over_a_router_one_after_the_other(router: Router, tmp_path:
     cars = {"a": PROFILES["set_membership"], "b": PROFILES["hull"]}
     sent = 0
 
-    def tubes(epoch_of: str = "") -> set[tuple[str, int, int]]:
+    def tubes() -> set[tuple[str, int, int]]:
         found = (ReachTube.decode(m.payload) for m in list(heard) if m.key.endswith("/tube"))
         return {(tube.vehicle, tube.seq, tube.server_epoch) for tube in found}
 
@@ -95,7 +95,7 @@ def test_two_servers_over_a_router_one_after_the_other(router: Router, tmp_path:
                 wait_until(lambda: any(m.key.endswith("/checkpoint") for m in list(heard)))
                 while len(tubes() - before) < 30:
                     drives(1)
-                    wait_until(lambda: ("a", sent - 1) in {tube[:2] for tube in tubes()})
+                    wait_until(lambda: {(car, sent - 1) for car in cars} <= {tube[:2] for tube in tubes()})
     report = verify(heard)
     assert report.equal, "\n".join(report.lines())
     assert len(report.stretches) == 2
