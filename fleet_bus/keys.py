@@ -17,6 +17,9 @@ ALL_TUBES: Final = "reach/*/tube"
 ALL_EVENTS: Final = "reach/*/event"
 ALL_STATUS: Final = "svc/*/*/status"
 ALL_SERVICE_EVENTS: Final = "svc/*/*/event"
+ALL_JOURNALS: Final = "svc/reach/*/journal"
+ALL_CHECKPOINTS: Final = "svc/reach/*/checkpoint"
+ALL_RECORDERS: Final = "svc/recorder/*"
 
 
 def check_id(text: str, what: str = "vehicle") -> str:
@@ -86,6 +89,16 @@ def service_status(kind: str, instance: str) -> str:
 def service_event(kind: str, instance: str) -> str:
     """Key of the events about a service instance itself."""
     return f"{service(kind, instance)}/event"
+
+
+def journal(instance: str) -> str:
+    """Key of the journal of a reach server: what it took in, in which order."""
+    return f"{service('reach', instance)}/journal"
+
+
+def checkpoint(instance: str) -> str:
+    """Key of the checkpoints of a reach server."""
+    return f"{service('reach', instance)}/checkpoint"
 
 
 def vehicle_of(key: str) -> str:

@@ -163,3 +163,8 @@ class ServiceStatus(Document):
     problems: list[Annotated[str, Field(max_length=300)]] = Field(
         default_factory=list, max_length=32, description="what is wrong with the service as a whole, now"
     )
+    chain: dict[str, Annotated[str, Field(max_length=200)]] = Field(
+        default_factory=dict,
+        max_length=16,
+        description="of a reach server: its journal's chain, round, samples, tubes and events so far, and its build",
+    )

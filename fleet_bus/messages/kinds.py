@@ -324,3 +324,27 @@ class Array(Kind):
     def spans(self) -> Mapping[str, Range]:
         """See ``Kind``."""
         return {"": self.span}
+
+
+@dataclass(frozen=True)
+class Bytes(Kind):
+    """A bin of bytes that are no numbers: as many times ``each`` bytes as the ``size`` says, at most ``most`` times."""
+
+    types = (bytes,)
+    each: int
+    size: str
+    most: int
+
+    def pack(self, value: Any) -> bytes:
+        """See ``Kind``."""
+        return bytes(value)
+
+    def read(self, key: str, packed: Any, sizes: Sizes) -> bytes:
+        """See ``Kind``."""
+        if len(packed) != self.each * (n := sizes.setdefault(self.size, len(packed) // self.each)) or n > self.most:
+            raise MessageError("shape", f"{key!r} holds {len(packed)} bytes: expected {n} times {self.each}")
+        return bytes(packed)
+
+    def json(self) -> dict[str, Any]:
+        """See ``Kind``."""
+        return {"type": "string", "contentEncoding": "base64", "x-bytes": [self.size, self.each]}

@@ -131,6 +131,13 @@ AHEAD: Final = Range(1, LATEST + LONGEST_HORIZON * 60 * 10**9, "ns")
 DURATION: Final = Range(0.0, 1e6, "s")
 MISS: Final = Range(0.0, 1e39)
 GAUGE: Final = Range(-1e30, 1e30)
+#: A clock that never goes back, from any origin.
+MONOTONIC: Final = Range(0.0, 1e12, "s")
+#: Names, of vehicles or of sessions, that one message lists, and places among them.
+LISTED: Final = Range(0, 1000)
+PLACE: Final = Range(0, 999)
+#: Parts of what is too large for one message.
+PARTS: Final = Range(1, 16_384)
 
 #: What a server keeps of one vehicle of a class may take this many bytes, and a tube as many as a message may have.
 MEMORY: Final = Range(0, 128 * 2**20, "bytes")

@@ -17,8 +17,11 @@ from fleet_bus.messages import (
     ServiceStatus,
     VehicleProfile,
 )
+from fleet_bus.messages import checkpoint as checkpoint_message
+from fleet_bus.messages import journal as journal_message
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.fields import FieldList
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -29,7 +32,12 @@ def generate() -> dict[str, str]:
     """File name to text of every schema."""
     schemas = {cls.encoding(): (cls.json_schema(), cls.MAX_BYTES) for cls in _DOCUMENTS}
     schemas[state_message.ENCODING] = (_state(), state_message.MAX_BYTES)
-    schemas[tube_message.ENCODING] = (_tube(), tube_message.MAX_BYTES)
+    for module, message in (
+        (tube_message, tube_message.ReachTube),
+        (journal_message, journal_message.JournalRound),
+        (checkpoint_message, checkpoint_message.CheckpointPart),
+    ):
+        schemas[module.ENCODING] = (_listed(message, module.FIELDS), module.MAX_BYTES)
     files = {}
     for encoding, (schema, limit) in sorted(schemas.items()):
         name = encoding.removeprefix(f"{codec.MEDIA_TYPE};")
@@ -45,9 +53,8 @@ def shipped() -> dict[str, str]:
     return {entry.name: entry.read_text(encoding="utf-8") for entry in sorted(found, key=lambda entry: entry.name)}
 
 
-def _tube() -> dict[str, Any]:
-    fields = {field.key: field.json() for field in tube_message.FIELDS.fields}
-    return _map("ReachTube", tube_message.ReachTube, fields)
+def _listed(message: type, fields: FieldList) -> dict[str, Any]:
+    return _map(message.__name__, message, {field.key: field.json() for field in fields.fields})
 
 
 def _state() -> dict[str, Any]:

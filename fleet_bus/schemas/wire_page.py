@@ -2,21 +2,31 @@
 
 import re
 from collections.abc import Mapping
+from typing import Final
 
-from fleet_bus.messages import ranges
-from fleet_bus.messages.fields import Field
-from fleet_bus.messages.kinds import Array, Kind, Row, Rows, Text, TextMap, Texts, Whole
+from fleet_bus.messages import checkpoint, journal, ranges, tube
+from fleet_bus.messages.fields import Field, FieldList
+from fleet_bus.messages.kinds import Array, Bytes, Kind, Row, Rows, Text, TextMap, Texts, Whole
 from fleet_bus.messages.ranges import Range
 from fleet_bus.messages.state import BODY, HEADER, PADDING
-from fleet_bus.messages.tube import FIELDS
+
+#: Binary messages by name, with their lists of fields and the word for a field in the head of the table.
+LISTED: Final[Mapping[str, tuple[FieldList, str]]] = {
+    "ReachTube": (tube.FIELDS, "key"),
+    "JournalRound": (journal.FIELDS, "key of a round"),
+    "CheckpointPart": (checkpoint.FIELDS, "key of a part"),
+}
 
 
 def spans() -> dict[str, dict[str, Range]]:
     """The range of every number by message and field: ``*`` stands for any name, ``[]`` for any entry."""
     header = {field.name: field.span for field in HEADER}
     body = {field.name + "[]" * (field.name in header): field.span for field in BODY}
-    tube = {field.key + place: span for field in FIELDS.fields for place, span in field.kind.spans.items()}
-    return {"StateSample": header | body, "ReachTube": tube, **{name: dict(of) for name, of in ranges.FIELDS.items()}}
+    listed = {
+        name: {field.key + place: span for field in fields.fields for place, span in field.kind.spans.items()}
+        for name, (fields, _) in LISTED.items()
+    }
+    return {"StateSample": header | body, **listed, **{name: dict(of) for name, of in ranges.FIELDS.items()}}
 
 
 def tables() -> dict[str, list[str]]:
@@ -32,9 +42,12 @@ def tables() -> dict[str, list[str]]:
         "| name | shape | there if | meaning |": [
             f"| `{field.name}` | ({', '.join(field.shape)}) | {field.present} | {field.meaning} |" for field in BODY
         ],
-        "| key | name | type | meaning |": [
-            f"| `{field.key}` | {field.name} | {_type(field)} | {field.meaning} |" for field in FIELDS.fields
-        ],
+        **{
+            f"| {word} | name | type | meaning |": [
+                f"| `{field.key}` | {field.name} | {_type(field)} | {field.meaning} |" for field in fields.fields
+            ]
+            for fields, word in LISTED.values()
+        },
         "| message | field | range |": [
             f"| {message} | `{field}` | {span} |"
             for message, fields in spans().items()
@@ -64,6 +77,8 @@ def _kind(kind: Kind) -> str:
     """What a field is on the wire, in short."""
     if isinstance(kind, Array):
         return f"bin {kind.dtype.removeprefix('<')} ({', '.join(kind.shape)})"
+    if isinstance(kind, Bytes):
+        return f"bin ({kind.size} times {kind.each} bytes)" if kind.each > 1 else f"bin ({kind.size} bytes)"
     if isinstance(kind, Row):
         return f"[{', '.join(_kind(item) for item in kind.items)}]"
     if isinstance(kind, Rows):

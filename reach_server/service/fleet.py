@@ -19,7 +19,9 @@ from reach_server.data.events import EngineEvent
 from reach_server.data.window import SampleBatch
 from reach_server.engine.engine import Engine, PlannedInputs, unheeded
 from reach_server.engine.results import Checks, Tubes
+from reach_server.service import object_reader, object_writer
 from reach_server.service.ingest import VehicleBatch
+from reach_server.service.object_graph import CheckpointError
 from reach_server.service.profiles import Profiles
 from reach_server.service.registry import VehicleRegistry
 from reach_server.service.sample_admission import SampleAdmission
@@ -59,10 +61,24 @@ class Fleet:
 
     def __init__(self, rejections: Rejections, stamp: Callable[[], int] | None = None) -> None:
         self._rejections = rejections
+        self._stamp = stamp
         self._registry = VehicleRegistry(stamp)
         self._scenarios = ScenarioAssignments(self._registry)
         self._profiles = Profiles(self._registry, self._scenarios, rejections)
         self._admission = SampleAdmission(self._registry, self._profiles, self._scenarios, rejections)
+
+    def snapshot(self) -> bytes:
+        """All that the next rounds depend on; raises ``CheckpointError`` for what cannot be written."""
+        return object_writer.dump(self, {"rejections": self._rejections, "stamp": self._stamp})
+
+    @classmethod
+    def restored(cls, snapshot: bytes, rejections: Rejections, stamp: Callable[[], int] | None = None) -> "Fleet":
+        """A fleet that goes on as the one goes whose snapshot this is, to the last bit; raises ``CheckpointError`` for
+        bytes that are none, or of another version of the program."""
+        fleet = object_reader.load(snapshot, {"rejections": rejections, "stamp": stamp})
+        if not isinstance(fleet, cls):
+            raise CheckpointError(f"a {type(fleet).__name__} where a fleet is expected")
+        return fleet
 
     @property
     def engines(self) -> tuple[Engine, ...]:

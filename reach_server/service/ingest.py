@@ -63,26 +63,36 @@ class Ingest:
         """Messages that wait to be taken."""
         return len(self._queue)
 
-    def drain(self) -> list[VehicleBatch]:
-        """Everything that has come since, decoded; what cannot be accepted is counted by reason."""
+    def take(self) -> list[tuple[str, Received]]:
+        """Everything that has come since, with its vehicle; what has a key that names none is counted."""
         with self._lock:
             taken, self._queue = self._queue, deque()
-        vehicles: list[str] = []
-        accepted: list[Received] = []
+        found: list[tuple[str, Received]] = []
         for received in taken:
             try:
-                vehicles.append(keys.vehicle_of(received.key))
-                accepted.append(received)
+                found.append((keys.vehicle_of(received.key), received))
             except KeyIdError as unusable:
                 self._rejections.count(MessageError("key", str(unusable)), received.key)
-        batches, refused = decode_states([r.payload for r in accepted], [r.encoding for r in accepted])
-        for index, error in refused:
-            self._rejections.count(error, accepted[index].key)
-        found: list[VehicleBatch] = []
-        for batch in batches:
-            index = batch.index.tolist()
-            arrived = np.array([accepted[i].arrived_ns for i in index], dtype=np.int64)
-            known = arrived if arrived.all() else None
-            names = tuple(vehicles[i] for i in index)
-            found.append(VehicleBatch(names, batch, tuple(accepted[i].source for i in index), known))
         return found
+
+    def drain(self) -> list[VehicleBatch]:
+        """Everything that has come since, decoded; what cannot be accepted is counted by reason."""
+        return decoded(self.take(), self._rejections)
+
+
+def decoded(taken: list[tuple[str, Received]], rejections: Rejections) -> list[VehicleBatch]:
+    """Samples with their vehicles in batches of equal layout; what cannot be accepted is counted by reason.
+
+    Which batches come out, and in which order, depends on nothing but the samples and their order.
+    """
+    batches, refused = decode_states([r.payload for _, r in taken], [r.encoding for _, r in taken])
+    for index, error in refused:
+        rejections.count(error, taken[index][1].key)
+    found: list[VehicleBatch] = []
+    for batch in batches:
+        rows = [taken[i] for i in batch.index.tolist()]
+        arrived = np.array([received.arrived_ns for _, received in rows], dtype=np.int64)
+        known = arrived if arrived.all() else None
+        names = tuple(vehicle for vehicle, _ in rows)
+        found.append(VehicleBatch(names, batch, tuple(received.source for _, received in rows), known))
+    return found

@@ -37,9 +37,9 @@ class Outbox:
         self._limit = EventLimit()
         self._publishers: dict[str, Publisher] = {}
 
-    def put_tube(self, tube: ReachTube) -> None:
-        """Publish the tube of a vehicle."""
-        self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, TUBE_CACHE).put(tube.encode())
+    def put_tube(self, tube: ReachTube, payload: bytes) -> None:
+        """Publish the tube of a vehicle, as it was encoded."""
+        self._publisher(keys.tube(tube.vehicle), tube_message.ENCODING, TUBE_CACHE).put(payload)
         self._tally.tubes += 1
         key = tube.label, tube.method
         self._tally.by_label[key] = self._tally.by_label.get(key, 0) + 1

@@ -29,15 +29,16 @@ from fleet_bus.sessions import DEFAULT_ROUTER, Role
 from fleet_bus.writers import Source
 from fleet_bus.zenoh_bus import open_bus
 from reach_server.data.events import EngineEvent
-from reach_server.service import tube_messages as publish
+from reach_server.service import tube_messages
 from reach_server.service.cache_queries import HISTORY, CacheQueries
 from reach_server.service.fleet import Fleet
-from reach_server.service.ingest import Ingest, VehicleBatch
+from reach_server.service.ingest import Ingest, VehicleBatch, decoded
 from reach_server.service.load import Load
 from reach_server.service.newest_tubes import NewestTubes
 from reach_server.service.other_servers import OtherServers
 from reach_server.service.outbox import EVENT_CACHE, Outbox
 from reach_server.service.presence import Presence
+from reach_server.service.recording import Recording
 from reach_server.service.stages import Stages
 from reach_server.service.status import Counters, FleetGauges, Tally, service_status
 
@@ -67,13 +68,15 @@ class ReachServer:
         self.instance = keys.check_id(instance, "server")
         self.rejections = Rejections()
         self.ingest = Ingest(self.rejections)
-        self.fleet = Fleet(self.rejections, clock.time_ns)
         self._clock = clock
+        self._started = clock.time_ns()
+        self._recording = Recording(instance, self._started)
+        self._journal = self._recording.journal
+        self.fleet = Fleet(self.rejections, lambda: self._journal.stamp)
         self._routers = routers
         self._connect = connect or partial(open_bus, Role.SERVICE, routers, stop)
         self._control: deque[Received | tuple[str, bool]] = deque()
         self._open = ExitStack()
-        self._started = clock.time_ns()
         self._tally = Tally(round_ns=self._started)
         #: Classes when ``_settle`` last did something.
         self._settled = 0
@@ -93,11 +96,13 @@ class ReachServer:
             own_events = keys.service_event("reach", self.instance)
             told = declare(output.publisher(own_events, Event.encoding(), cache=EVENT_CACHE))
             self._outbox = Outbox(self.instance, self._clock, self._tally, output, told)
+            declare(self._recording.open(output))
             self._others = OtherServers(output.session_id, self.instance)
             self._queries = declare(CacheQueries(query, self.fleet, self._take_in))
             for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS, keys.ALL_STATUS):
                 declare(control.subscriber(expression, self._control.append, history=1, late_publishers=True))
-            declare(control.watch_alive(keys.ALL_ALIVE, lambda key, alive: self._control.append((key, alive))))
+            for expression in (keys.ALL_ALIVE, keys.ALL_RECORDERS):
+                declare(control.watch_alive(expression, lambda key, alive: self._control.append((key, alive))))
             states = declare(self._connect())
             declare(states.subscriber(keys.ALL_STATES, self.ingest.put, history=HISTORY))
             declare(control.alive(keys.service("reach", self.instance)))
@@ -123,16 +128,20 @@ class ReachServer:
             began = self._clock.monotonic()
             try:
                 self.tick()
-            except Exception:
+            except Exception as error:
                 # One vehicle's data must not end the service of all others; the status counts it.
                 self._tally.failures += 1
+                self._journal.fail(error)
                 _log.exception("a round failed, its samples are lost")
             self._tally.round_ns = self._clock.time_ns()
             self._settle()
-            if began >= next_status:
+            due = began >= next_status
+            if due:
                 next_status = began + STATUS_SECONDS
                 self.look_around(began)
                 self._gauges = self._gauges_now()
+            self._recording.end(self.fleet, began)
+            if due:
                 self._status.put(self.status().encode())
             self._clock.wait(stop, max(0.0, TICK_SECONDS - (self._clock.monotonic() - began)))
 
@@ -149,13 +158,19 @@ class ReachServer:
         """One round: rare messages first, then all samples, then the tubes of their newest."""
         now = self._clock.monotonic()
         self._stages.begin()
+        self._journal.begin(now, self._clock.time_ns())
         self._handle_control(now)
         self._stages.passed("control")
-        batches = self.ingest.drain()
-        self._stages.passed("decode")
-        if batches:
-            self._process(batches, now)
-        for event in self.fleet.elapse(now):
+        taken = self.ingest.take()
+        if taken:
+            self._journal.process(taken)
+            batches = decoded(taken, self.rejections)
+            self._stages.passed("decode")
+            if batches:
+                self._process(batches, now)
+            else:
+                self._journal.processed((), None)
+        for event in self._journal.elapse(partial(self.fleet.elapse, now)):
             self._outbox.put_event(event)
         self._queries.ask(now)
         self._stages.passed("upkeep")
@@ -169,17 +184,15 @@ class ReachServer:
         self._tally.repeated += outcome.repeated
         self._tally.checks += outcome.checks
         self._tally.batch.add(sum(len(batch.vehicles) for batch in batches))
-        late = self._load.note
-        for engine, tubes in outcome.tubes:
+        for _, tubes in outcome.tubes:
             self._newest.see(tubes)
-            audits = [engine.audit_of(vehicle) for vehicle in tubes.vehicles]
-            profile = engine.profile
-            for message in publish.messages(
-                tubes if late is None else tubes.noted(dict.fromkeys(tubes.vehicles, late)),
-                profile.state_names, profile.position, audits,
-                server=self.instance, server_epoch=self._started, compute_seconds=seconds,
-            ):  # fmt: skip
-                self._outbox.put_tube(message)
+        self._journal.processed(outcome.events, self._load.note)
+        for tube in tube_messages.of_round(
+            outcome.tubes, self._load.note, server=self.instance, server_epoch=self._started, compute_seconds=seconds
+        ):
+            payload = tube.encode()
+            self._journal.tube(tube, payload)
+            self._outbox.put_tube(tube, payload)
         self._tally.latencies.append(self._clock.monotonic() - began)
         if outcome.tubes:
             self._see_load(batches, [vehicle for _, tubes in outcome.tubes for vehicle in tubes.vehicles])
@@ -220,6 +233,9 @@ class ReachServer:
                 self.rejections.count(MessageError("key", str(error)), item.key)
 
     def _handle_token(self, key: str, alive: bool, now: float) -> None:
+        if key.startswith("svc/"):
+            self._recording.token(key, alive)
+            return
         try:
             vehicle = keys.vehicle_of(key)
         except KeyIdError as error:
@@ -236,22 +252,25 @@ class ReachServer:
         if item.key.startswith("fleet/"):
             vehicle = keys.vehicle_of(item.key)
             profile = VehicleProfile.decode(item.payload, item.encoding)
-            return self.fleet.set_profile(vehicle, profile, item.source, now)
+            put = partial(self.fleet.set_profile, vehicle, profile, item.source, now)
+            return self._journal.document("profile", item, put)
         if item.key.endswith("/document"):
             document = ScenarioDocument.decode(item.payload, item.encoding)
             if keys.document(document.scenario) != item.key:
                 raise MessageError("key", f"scenario {document.scenario} was put on {item.key}")
-            return self.fleet.set_scenario(document, item.source, now)
+            put = partial(self.fleet.set_scenario, document, item.source, now)
+            return self._journal.document("document", item, put)
         assignment = Assignment.decode(item.payload, item.encoding)
         if keys.assignment(assignment.scenario, assignment.vehicle) != item.key:
             raise MessageError("key", f"an assignment of {assignment.vehicle} was put on {item.key}")
-        return self.fleet.assign(assignment, item.source, now)
+        return self._journal.document("assignment", item, partial(self.fleet.assign, assignment, item.source, now))
 
     def _handle_status(self, item: Received, now: float) -> None:
         status = ServiceStatus.decode(item.payload, item.encoding)
         if keys.service_status(status.kind, status.instance) != item.key:
             raise MessageError("key", f"the status of {status.kind}/{status.instance} was put on {item.key}")
         if status.kind == "side-info":
+            self._journal.hear(item.source)
             self.fleet.hear_service(item.source, now)
         elif status.kind == "reach" and (news := self._others.hear(status, item.source, now)):
             self._outbox.tell(EventKind.SECOND_SERVER, news, {"instance": status.instance, "session": item.source})
@@ -265,9 +284,11 @@ class ReachServer:
         intervals = {vehicle: self.fleet.interval(vehicle) for vehicle in waiting}
         for vehicle in self._presence.gone(heard, intervals, now):
             self._newest.forget(vehicle)
+            self._journal.gone(vehicle)
             self.fleet.mark_gone(vehicle)
             message = f"{vehicle} is gone: no samples come, and it is out of sight"
             self._outbox.put_event(EngineEvent(EventKind.VEHICLE_GONE, vehicle, self._clock.time_ns(), message))
+        self._journal.let_go(now)
         for vehicle in self.fleet.let_go(now):
             _log.info("let go of a vehicle that was silent for long", vehicle=vehicle)
             self._queries.forget(vehicle)
@@ -290,7 +311,7 @@ class ReachServer:
         return service_status(
             self.instance, self._started, self._clock.time_ns(), tally=self._tally, fleet=self.fleet, load=self._load,
             states=self.ingest.received, refused=self.rejections.snapshot(), waiting=self._newest.waiting,
-            problems=self._others.problems,
+            problems=[*self._others.problems, *self._recording.problems], chain=self._journal.summary(),
         )  # fmt: skip
 
     def _gauges_now(self) -> FleetGauges:

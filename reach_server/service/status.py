@@ -89,11 +89,12 @@ def service_status(
     refused: Mapping[str, int],
     waiting: Mapping[str, str],
     problems: Sequence[str],
+    chain: Mapping[str, str],
 ) -> ServiceStatus:
     """The status of a server that ``started`` (Unix ns), at ``now`` (Unix ns).
 
     ``states`` counts the samples that came, ``refused`` messages by reason, ``waiting`` says why vehicles have
-    no tube, ``problems`` what else an operator should look at.
+    no tube, ``problems`` what else an operator should look at, ``chain`` where its journal is.
     """
     filled = [count for engine in fleet.engines for count in engine.window_filled().tolist()]
     clocks = sorted(fleet.clock_offsets().items(), key=lambda item: -abs(item[1][0]))[:MOST_NAMED]
@@ -115,6 +116,7 @@ def service_status(
         clock_offsets={vehicle: offset for vehicle, (offset, _) in clocks},
         clock_spreads={vehicle: spread for vehicle, (_, spread) in clocks},
         problems=[*problems, *([load.message] if load.late else [])][:MOST_PROBLEMS],
+        chain=dict(chain),
     )  # fmt: skip
 
 

@@ -1,12 +1,13 @@
 """From the engine's tubes to the messages that are published: constant size, rounded outwards."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate, islice
 from typing import Final
 
 import numpy as np
 
 from fleet_bus.messages import Audit, Cut, ReachTube
+from reach_server.engine.engine import Engine
 from reach_server.engine.results import Tubes
 from reach_server.numeric.types import FloatArray
 from reach_server.tube import summaries as figures
@@ -17,6 +18,20 @@ LONGEST_LIST: Final = 3072
 ROW: Final = 16
 CUTS_LEFT_OUT: Final = "more predicates made sets smaller than are listed"
 VERDICTS_LEFT_OUT: Final = "more requirements have a verdict than are listed"
+
+
+def of_round(
+    tubes: Sequence[tuple[Engine, Tubes]], note: str | None, *, server: str, server_epoch: int, compute_seconds: float
+) -> Iterator[ReachTube]:
+    """The messages of all tubes of a round, in order; ``note``: what each of them has to say of the server's load."""
+    for engine, found in tubes:
+        audits = [engine.audit_of(vehicle) for vehicle in found.vehicles]
+        noted = found if note is None else found.noted(dict.fromkeys(found.vehicles, note))
+        profile = engine.profile
+        yield from messages(
+            noted, profile.state_names, profile.position, audits,
+            server=server, server_epoch=server_epoch, compute_seconds=compute_seconds,
+        )  # fmt: skip
 
 
 def messages(

@@ -1,7 +1,7 @@
 """Which scenario cuts which vehicle of a class, and what the scenarios of a vehicle ask of it together."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -21,6 +21,7 @@ from reach_server.side_information.tracker import ASSUME, ScenarioTracker
 from reach_server.side_information.verdict import FAILS, HOLDS, beliefs_ahead, verdict
 from side_info import Scenario
 from side_info.progression import DEAD, TRUE, Grid, Table
+from side_info.stl.nnf import Normal
 
 __all__ = ["MOST_BRANCHES", "MOST_OBLIGATIONS", "Assignments", "InitialConditions"]
 
@@ -30,6 +31,35 @@ MOST_OBLIGATIONS: Final = 100_000
 MOST_UNUSED: Final = 64
 #: Branches of one track at one step.
 MOST_BRANCHES: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormulaRoot:
+    """What makes the obligation of a formula of a scenario at its first place, by grid and lead.
+
+    An object rather than a function of its surroundings, so that a checkpoint can hold it. ``index`` has the states of
+    the scenario among those of the class, ``speed`` (n,) how fast these change at most; ``literals`` are those that
+    the formula has been given.
+    """
+
+    assignments: "Assignments"
+    scenario: Scenario
+    normal: Normal
+    index: Mapping[str, int]
+    speed: FloatArray
+    literals: set[int] = field(default_factory=set)
+
+    def __call__(self, grid: Grid, lead: int) -> int:
+        """The obligation from the sample of grid index ``-lead`` on, in the table of now."""
+        return self.assignments.table.add(self.normal, grid, self._literal, lead=lead)
+
+    def _literal(self, number: int, margin_ns: int) -> int:
+        predicate, name = self.scenario.predicates[number], self.scenario.name
+        made = self.assignments.literals.add(
+            predicate, self.index, scenario=name, name=predicate.name, speed=self.speed, margin_ns=margin_ns
+        )
+        self.literals.add(made)
+        return made
 
 
 class Assignments:
@@ -80,19 +110,10 @@ class Assignments:
         for name, requirement in scenario.requirements.items():
             normals |= {HOLDS + name: requirement.holds, FAILS + name: requirement.fails}
 
-        def root(formula: str, grid: Grid, lead: int) -> int:
-            def literal(number: int, margin_ns: int) -> int:
-                predicate = scenario.predicates[number]
-                made = self.literals.add(
-                    predicate, index, scenario=scenario.name, name=predicate.name, speed=speed, margin_ns=margin_ns
-                )
-                tracker.formula_states[formula].literals.add(made)
-                return made
-
-            return self.table.add(normals[formula], grid, literal, lead=lead)
-
-        formulas = {name: partial(root, name) for name in normals}
+        formulas = {name: FormulaRoot(self, scenario, normal, index, speed) for name, normal in normals.items()}
         tracker = ScenarioTracker(scenario, self.table, self._profile.sample_time_ns, self.horizon + 1, formulas)
+        for name, root in formulas.items():
+            tracker.formula_states[name].literals = root.literals
         tracker.take_over(before)
         self._trackers[scenario.name] = tracker
         self._release()

@@ -23,7 +23,8 @@ FAMILIES = [
     for key in (
         keys.state(_SHOWN), keys.truth(_SHOWN), keys.profile(_SHOWN), keys.alive(_SHOWN), keys.tube(_SHOWN),
         keys.event(_SHOWN), keys.document(_SHOWN), keys.assignment(_SHOWN, _SHOWN), keys.service(_SHOWN, _SHOWN),
-        keys.service_status(_SHOWN, _SHOWN), keys.service_event(_SHOWN, _SHOWN),
+        keys.service_status(_SHOWN, _SHOWN), keys.service_event(_SHOWN, _SHOWN), keys.journal(_SHOWN),
+        keys.checkpoint(_SHOWN),
     )
 ]  # fmt: skip
 ROLES = "|".join(sorted({family.partition("/")[0] for family in FAMILIES}))

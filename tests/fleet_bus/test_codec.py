@@ -168,7 +168,7 @@ def test_a_few_bytes_cannot_claim_gigabytes(name: str, claim: bytes) -> None:
 @each_message
 def test_a_megabyte_of_noise_is_too_large_before_it_is_looked_at(name: str) -> None:
     payload, decode, _, limit = MESSAGES[name]
-    noise = random.Random(3).randbytes(1_000_000)
+    noise = random.Random(3).randbytes(max(1_000_000, limit + 1))
     padded = payload + bytes(limit)
     with bounded_memory(100_000):
         assert refusal(decode, noise) == "too_large"

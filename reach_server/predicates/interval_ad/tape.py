@@ -268,3 +268,16 @@ def _clean(low: FloatArray, high: FloatArray) -> Bounds:
     unknown = ~(low <= high)
     most = np.finfo(np.float64).max
     return np.where(unknown, -np.inf, np.minimum(low, most)), np.where(unknown, np.inf, np.maximum(high, -most))
+
+
+_CODES: Final = {id(operation): code for code, operation in _OPERATIONS.items()}
+
+
+def code_of(operation: Operation) -> int:
+    """Number of an operation of tapes, by which ``operation_of`` finds it again; raises ``KeyError`` for another."""
+    return _CODES[id(operation)]
+
+
+def operation_of(code: int) -> Operation:
+    """The operation of a number; raises ``KeyError`` where there is none."""
+    return _OPERATIONS[code]

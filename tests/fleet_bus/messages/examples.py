@@ -14,10 +14,12 @@ from fleet_bus.errors import MessageError
 from fleet_bus.messages import (
     Assignment,
     Audit,
+    CheckpointPart,
     Cut,
     Document,
     Event,
     EventKind,
+    JournalRound,
     Label,
     ReachTube,
     ScenarioDocument,
@@ -28,8 +30,11 @@ from fleet_bus.messages import (
     parse_profile,
     ranges,
 )
+from fleet_bus.messages import checkpoint as checkpoint_message
+from fleet_bus.messages import journal as journal_message
 from fleet_bus.messages import state as state_message
 from fleet_bus.messages import tube as tube_message
+from fleet_bus.messages.journal import Call
 from fleet_bus.messages.methods import TUBE_METHODS
 from fleet_bus.messages.ranges import Range
 
@@ -153,6 +158,31 @@ def a_tube(**changes: Any) -> ReachTube:
     return ReachTube(**{**fields, **changes})
 
 
+def a_round(**changes: Any) -> JournalRound:
+    fields = {
+        "server": "reach-1", "server_epoch": T0, "build": "0011223344556677", "number": 12, "now": 3.5, "stamp": T0,
+        "part": (1, 2), "idle": np.array([3.46, 3.48]), "vehicles": ("svea1", "svea2"), "sessions": ("4f",),
+        "calls": (
+            Call("document", 3.5, "spec/parking-lot/document", "5a", "00ff00ff00ff00ff"), Call("process", 3.5),
+            Call("elapse", 3.5),
+        ),
+        "sample_vehicle": np.array([0, 1, 0], dtype="<u2"), "sample_session": np.zeros(3, dtype="<u2"),
+        "arrived": np.array([T0, 0, T0 + 1]), "sample_digest": b"12345678" * 3,
+        "tube_vehicle": np.array([1], dtype="<u2"), "tube_epoch": np.array([3]), "tube_seq": np.array([7]),
+        "tube_digest": b"abcdefgh", "event_digest": b"ABCDEFGH" * 2, "note": "published 0.6 s late", "failed": "",
+        "totals": (300, 200, 1), "chain": "0123456789abcdef" * 2,
+    }  # fmt: skip
+    return JournalRound(**{**fields, **changes})
+
+
+def a_part(**changes: Any) -> CheckpointPart:
+    fields = {
+        "server": "reach-1", "server_epoch": T0, "build": "0011223344556677", "number": 12,
+        "chain": "0123456789abcdef" * 2, "digest": "fedcba9876543210" * 2, "part": (2, 3), "data": b"state",
+    }  # fmt: skip
+    return CheckpointPart(**{**fields, **changes})
+
+
 def profile_fields() -> dict[str, Any]:
     """A document that uses every field."""
     return {
@@ -207,6 +237,7 @@ def documents() -> tuple[Document, ...]:
             counters={"states": 5},
             gauges={"vehicles": 1.0},
             refused={"shape": 1},
+            chain={"value": "0123456789abcdef" * 2, "round": "12"},
         ),
     )
 
@@ -221,6 +252,12 @@ def messages() -> dict[str, tuple[bytes, Decoder, str, int]]:
     }
     found["StateSample"] = (a_sample().encode(), StateSample.decode, state_message.ENCODING, state_message.MAX_BYTES)
     found["ReachTube"] = (a_tube().encode(), ReachTube.decode, tube_message.ENCODING, tube_message.MAX_BYTES)
+    found["JournalRound"] = (
+        a_round().encode(), JournalRound.decode, journal_message.ENCODING, journal_message.MAX_BYTES,
+    )  # fmt: skip
+    found["CheckpointPart"] = (
+        a_part().encode(), CheckpointPart.decode, checkpoint_message.ENCODING, checkpoint_message.MAX_BYTES,
+    )  # fmt: skip
     return found
 
 

@@ -15,8 +15,17 @@ from fleet_bus.errors import MessageError, ProfileError
 from fleet_bus.messages import VehicleProfile, parse_profile, ranges
 from fleet_bus.messages.ranges import Range
 from fleet_bus.schemas import generate
-from fleet_bus.schemas.wire_page import spans
-from tests.fleet_bus.messages.examples import a_profile, a_sample, a_tube, documents, messages, profile_fields
+from fleet_bus.schemas.wire_page import LISTED, spans
+from tests.fleet_bus.messages.examples import (
+    a_part,
+    a_profile,
+    a_round,
+    a_sample,
+    a_tube,
+    documents,
+    messages,
+    profile_fields,
+)
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "wire.md"
 FIELDS = spans()
@@ -72,7 +81,7 @@ def in_schema(message: str, field: str) -> str:
     """The place of a field of the table in its schema."""
     if message == "StateSample":
         return field.removesuffix("[]")
-    if message == "ReachTube":
+    if message in LISTED:
         return field.partition("[")[0]
     return field.replace("noise.*.", "noise.process.")
 
@@ -157,6 +166,31 @@ def tubes(field: str, number: float) -> bytes:
     return packed
 
 
+def rounds(field: str, number: float) -> bytes:
+    fields = msgpack.unpackb(a_round().encode())
+    many = {"v": [f"v{k}" for k in range(1000)], "s": [f"s{k}" for k in range(1000)]}
+    if field in ("kv", "ks", "tv", "ka", "ep", "sq", "i"):
+        dtype = {"kv": "<u2", "ks": "<u2", "tv": "<u2", "i": "<f8"}.get(field, "<i8")
+        array = np.frombuffer(fields[field], dtype=dtype).copy()
+        array[-1] = number
+        fields |= {field: array.tobytes(), **many}
+    elif field == "c":
+        fields["c"] = [["elapse", number, "", "", ""]]
+    elif field == "tt":
+        fields["tt"] = [number, 0, 0]
+    else:
+        fields[field] = [1, number] if field == "p" else number
+    packed: bytes = msgpack.packb(fields)
+    return packed
+
+
+def parts(field: str, number: float) -> bytes:
+    fields = msgpack.unpackb(a_part().encode())
+    fields[field] = [1, number] if field == "p" else number
+    packed: bytes = msgpack.packb(fields)
+    return packed
+
+
 def documented(message: str, field: str, number: float) -> bytes:
     (example,) = [d for d in documents() if type(d).__name__ == message]
     fields = msgpack.unpackb(example.encode())
@@ -212,11 +246,15 @@ def fits(message: str, field: str, number: float) -> bool:
     """Whether the layout has room for the number at all."""
     if message == "StateSample" and number < 0:
         return field in ("t", "x", "u", "bound", "plan[]", "plan_tolerance")
+    if message == "JournalRound" and field in ("kv", "ks", "tv"):
+        return number >= 0
     return not (message == "ReachTube" and field in ("g", "h", "o"))
 
 
 def made(message: str, field: str, number: float) -> bytes:
-    makers: dict[str, Callable[[str, float], bytes]] = {"StateSample": states, "ReachTube": tubes}
+    makers: dict[str, Callable[[str, float], bytes]] = {
+        "StateSample": states, "ReachTube": tubes, "JournalRound": rounds, "CheckpointPart": parts,
+    }  # fmt: skip
     maker = makers.get(message)
     return documented(message, field, number) if maker is None else maker(field, number)
 
