@@ -138,15 +138,22 @@ class LoggerFactory:
 _writers: dict[str, LineWriter] = {}
 
 
-def configure(level: int) -> None:
-    """Send the log of this process from ``level`` (as in ``logging``) on, and Python's warnings, to stderr."""
+def configure(level: int, *, as_json: bool = False) -> None:
+    """Send the log of this process from ``level`` (as in ``logging``) on, and Python's warnings, to stderr; ``as_json``
+    as an object a line, with ``event``, ``level`` and ``timestamp``."""
     factory = LoggerFactory(sys.stderr)
     _writers["stderr"] = factory.writer
+    colors = sys.stderr is not None and sys.stderr.isatty()
+    renderers = (
+        [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer(default=str)]
+        if as_json
+        else [structlog.dev.ConsoleRenderer(colors=colors)]
+    )
     structlog.configure(
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr is not None and sys.stderr.isatty()),
+            *renderers,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=factory,

@@ -3,6 +3,7 @@
 import logging
 import sys
 import traceback
+from enum import StrEnum
 from io import StringIO
 from typing import Annotated
 
@@ -11,11 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from fleet_bus.errors import FleetError, Stopped, UsageError
-from fleet_cli import logs
+from fleet_cli import logs, settings
 from fleet_cli.commands import scenario
 from fleet_cli.commands.agent import agent
 from fleet_cli.commands.bench import bench
 from fleet_cli.commands.calibrate import calibrate
+from fleet_cli.commands.config import config
 from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
 from fleet_cli.commands.events import events
@@ -45,7 +47,10 @@ def main() -> None:
     """Entry point: errors of the project become one line on stderr and exit code 1 (failed) or 2 (wrong use)."""
     logs.keep_standard_streams()
     try:
-        app()
+        if settings.file() is None:
+            app(auto_envvar_prefix=settings.PREFIX)
+        else:
+            app(auto_envvar_prefix=settings.PREFIX, default_map=settings.read(typer.main.get_command(app)))
     except Stopped:
         # Told to end before there was anything to do.
         sys.exit(0)
@@ -59,6 +64,13 @@ def main() -> None:
     except Exception:
         logs.tell(traceback.format_exc().rstrip())
         sys.exit(1)
+
+
+class LogFormat(StrEnum):
+    """How the log is written."""
+
+    TEXT = "text"
+    JSON = "json"
 
 
 def say_version(wanted: bool) -> None:
@@ -75,12 +87,16 @@ def say_version(wanted: bool) -> None:
 @app.callback()
 def common(
     verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice for details.")] = 0,
+    log_format: Annotated[
+        LogFormat, typer.Option(help="Of the log: text, or json, an object a line.", case_sensitive=False)
+    ] = LogFormat.TEXT,
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=say_version, help="Print the version and end.")
     ] = False,
 ) -> None:
     """Set up the log, which goes to stderr."""
-    logs.configure((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    logs.configure(level, as_json=log_format is LogFormat.JSON)
 
 
 app.command()(router)
@@ -90,6 +106,6 @@ scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
 for command in (
-    agent, record, replay, incident, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo,
+    agent, record, replay, incident, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo, config,
 ):  # fmt: skip
     app.command()(command)
