@@ -61,7 +61,8 @@ def test_a_process_heeds_them_and_the_command_line_most(config: Path, monkeypatc
     config.write_text('[all]\nlog-format = "yaml"\n', encoding="utf-8")
     done = subprocess.run([*command, "scenario", "list"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "Invalid value for '--log-format': 'yaml'" in done.stderr
+    assert "yaml" in done.stderr
+    assert "--log-format" in done.stderr
     for more, code in ((["--log-format", "json"], 0), ([], 2)):
         assert (
             subprocess.run([*command, *more, "scenario", "list"], capture_output=True, check=False).returncode == code
