@@ -16,7 +16,7 @@ def samples_missing(
     follows the one before it, has an input, and no datum leaves the window. 0 where there is enough.
     """
     newest = (window.count[slots] - 1) % window.size
-    run = np.where(window.count[slots] > 0, window.columns().run[slots, newest].astype(np.int64), -1)
+    run = np.where(window.count[slots] > 0, window.arrays().run[slots, newest].astype(np.int64), -1)
     lacking = np.maximum(needed - usable, 0)
     return np.where(lacking > 0, lacking + np.maximum(links - 1 - run, 0), 0)
 

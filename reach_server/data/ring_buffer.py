@@ -41,7 +41,7 @@ class Samples(NamedTuple):
 
 class Ring(NamedTuple):
     """Ring buffers (V, S, ·) of samples, and what follows from them; ``run``, ``input_known`` and ``gated`` as in
-    ``Columns``."""
+    ``SampleArrays``."""
 
     epoch: NDArray[np.uint64]
     seq: NDArray[np.uint64]

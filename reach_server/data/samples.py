@@ -1,7 +1,7 @@
 """Samples as arrays: batches received, blocks read from a window, and the report on an appended batch."""
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +75,9 @@ class Block:
     linked: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Columns:
-    """The ring buffers themselves, one row per slot: the sample at index p is ``t[slot, p]``, ``x[slot, p]`` and so on.
+class SampleArrays(NamedTuple):
+    """The ring buffers of a window, as compiled loops take them: the sample of a slot at index p is ``t[slot, p]``,
+    ``x[slot, p]`` and so on. Without the first axis those of one vehicle.
 
     ``t`` (V, S) ns; ``x`` (V, S, n) as received; ``u`` (V, S, m), zero where not known; ``run`` (V, S) number of links
     that end at a sample, 0 where a trajectory begins (links to samples that have left the window count: go no further

@@ -7,12 +7,12 @@ from fleet_bus.messages import StateFlag, VehicleProfile
 from reach_server.data import ring_buffer as ring
 from reach_server.data.pose_jumps import rules_of
 from reach_server.data.ring_buffer import Ring, Samples
-from reach_server.data.samples import AppendReport, Block, Columns, SampleBatch
+from reach_server.data.samples import AppendReport, Block, SampleArrays, SampleBatch
 from reach_server.data.stream_order import Rivals
 from reach_server.numeric.slot_table import grow_rows
 from reach_server.numeric.types import FloatArray, IntArray
 
-__all__ = ["AppendReport", "Block", "Columns", "FloatArray", "IntArray", "SampleBatch", "Window"]
+__all__ = ["AppendReport", "Block", "FloatArray", "IntArray", "SampleArrays", "SampleBatch", "Window"]
 
 
 class Window:
@@ -87,10 +87,10 @@ class Window:
         self._rivals = Rivals(*(grow_rows(column, slots, column) for column in self._rivals))
         self._ring = Ring(*(grow_rows(column, slots, column) for column in self._ring))
 
-    def columns(self) -> Columns:
+    def arrays(self) -> SampleArrays:
         """The ring buffers, as they are now."""
         stored = self._ring
-        return Columns(stored.t, stored.x, stored.u, stored.run, stored.input_known, stored.gated)
+        return SampleArrays(stored.t, stored.x, stored.u, stored.run, stored.input_known, stored.gated)
 
     def clear(self, slot: int) -> None:
         """Forget the samples of one vehicle."""

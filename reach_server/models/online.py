@@ -25,7 +25,7 @@ from reach_server.data.window import Window
 from reach_server.models import recursive_least_squares as rls
 from reach_server.models.cholesky import solve_many
 from reach_server.models.data_selection import Data, choose_many
-from reach_server.models.recursive_least_squares import KernelSpec, Samples, StreamingMoments
+from reach_server.models.recursive_least_squares import KernelSpec, StreamingMoments
 from reach_server.models.residual_model import (
     Model,
     NoiseBounds,
@@ -166,14 +166,15 @@ class ResidualModels:
         for slot in changed.tolist():
             rls.forget(self._stream, slot, 0)
         self._revision[changed] = self._window.revision[changed]
-        columns = self._window.columns()
-        samples = Samples(columns.x, columns.u, columns.run, columns.input_known, columns.gated, self._window.count)
         grew = np.zeros(len(slots), dtype=bool)
         p, n, retains = self._layout.regressors, self._layout.n, self._reservoir.size > 0
         # Of what came, a window holds no more than its size.
         new = np.minimum(self._window.count[slots] - self._stream.processed[slots], self._window.size)
         evicted = np.empty((int(new.sum()) if retains else 0, 1 + p + n))
-        count = rls.update(slots, samples, self._spec, self._stream, self._store.matrix, grew, evicted)
+        window = self._window
+        count = rls.update(
+            slots, window.arrays(), window.count, self._spec, self._stream, self._store.matrix, grew, evicted
+        )
         if count:
             self._offer(evicted[:count])
         fitted = self._store.fitted[slots]

@@ -13,8 +13,8 @@ middle of the data; they are recomputed now and then, and where so little is lef
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reach_server.data.samples import SampleArrays
 from reach_server.numeric.jit import kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
@@ -25,17 +25,6 @@ OFF_CENTER = 1e3
 #: unless it is within this, relative to one and the center.
 CENTERED = 1e-12
 TURN = 2 * np.pi
-
-
-class Samples(NamedTuple):
-    """Ring buffers (V, S, ·) as in ``data.samples.Columns``, and the number of samples ``appended`` (V,) so far."""
-
-    x: FloatArray
-    u: FloatArray
-    run: NDArray[np.int32]
-    input_known: BoolArray
-    gated: BoolArray
-    appended: IntArray
 
 
 class KernelSpec(NamedTuple):
@@ -132,7 +121,7 @@ def sum_anew(stream: StreamingMoments, slot: int, size: int, workspace: FloatArr
 
 
 @kernel
-def _complete(samples: Samples, slot: int, number: int, oldest: int, spec: KernelSpec) -> bool:
+def _complete(samples: SampleArrays, slot: int, number: int, oldest: int, spec: KernelSpec) -> bool:
     """Whether the transition from sample ``number - 1`` to ``number`` counts, both in the window."""
     size = samples.run.shape[1]
     index, before = number % size, (number - 1) % size
@@ -148,7 +137,7 @@ def _complete(samples: Samples, slot: int, number: int, oldest: int, spec: Kerne
 
 @kernel
 def _enter(
-    samples: Samples, slot: int, number: int, state: FloatArray, spec: KernelSpec, stream: StreamingMoments
+    samples: SampleArrays, slot: int, number: int, state: FloatArray, spec: KernelSpec, stream: StreamingMoments
 ) -> None:
     """Write the datum of the transition to sample ``number``, with ``state`` (n,) the continued one there."""
     size, m, free = samples.run.shape[1], samples.u.shape[2], len(spec.free)
@@ -193,14 +182,17 @@ def _extend(stream: StreamingMoments, slot: int, index: int, matrix: FloatArray,
 @kernel
 def update(
     slots: IntArray,
-    samples: Samples,
+    samples: SampleArrays,
+    appended: IntArray,
     spec: KernelSpec,
     stream: StreamingMoments,
     matrix: FloatArray,
     grew: BoolArray,
     evicted_data: FloatArray,
 ) -> int:
-    """Update the data of some vehicles with their new samples; the number of data written to ``evicted_data``.
+    """Update the data of some vehicles (B,) with their new samples; the number of data written to ``evicted_data``.
+
+    ``appended`` (V,): samples so far, by slot.
 
     ``evicted_data`` (K, 1 + p + n): the data that leaves the window, slot first, as much as there is room for. ``grew``
     (B,) is set where magnitudes grew.
@@ -212,7 +204,7 @@ def update(
     state, evicted_count = np.empty(n), 0
     for b in range(len(slots)):
         slot = slots[b]
-        count = samples.appended[slot]
+        count = appended[slot]
         oldest = max(count - size, 0)
         if stream.processed[slot] < oldest or stream.processed[slot] > count:
             forget(stream, slot, oldest)

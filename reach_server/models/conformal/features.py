@@ -9,7 +9,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.data.samples import SampleArrays
+from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.numeric.jit import ONE, ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
 
@@ -121,7 +122,7 @@ def targets(t: IntArray, x: FloatArray, number: int, spec: FeatureSpec, out: Flo
 
 @kernel
 def step_sizes(
-    samples: Samples, slot: int, number: int, spec: FeatureSpec, change: FloatArray, fastest: FloatArray
+    samples: SampleArrays, slot: int, number: int, spec: FeatureSpec, change: FloatArray, fastest: FloatArray
 ) -> None:
     """Raise ``fastest`` (n,) to the magnitudes of the change that led to a sample, if it follows one and neither is a
     glitch; for the positions of a pose the distance counts. ``change`` (n,) is a workspace."""

@@ -6,11 +6,12 @@ import math
 import numpy as np
 
 from reach_server.data.observed_range import LEAST_UNIT, range_of
+from reach_server.data.samples import SampleArrays
 from reach_server.models.conformal.features import increment, recorded, step_sizes, targets, usable
 from reach_server.models.conformal.predict import error_in_frame, roll_out
 from reach_server.models.conformal.ridge import BELIEVED, add, factor, first_columns, increments_of, solve, standardise
 from reach_server.models.conformal.score import Codes, encoded
-from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.models.conformal.state import Model, ScoreHistory
 from reach_server.numeric.jit import kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
@@ -36,9 +37,9 @@ def reach_back(count: int, indices: int, spec: FeatureSpec) -> int:
 
 
 @kernel
-def usable_numbers(samples: Samples, count: int, slot: int, spec: FeatureSpec, out: IntArray) -> int:
+def usable_numbers(samples: SampleArrays, count: int, slot: int, spec: FeatureSpec, out: IntArray) -> int:
     """Numbers ``out`` (S,) of the samples of a vehicle that are data; how many."""
-    run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
+    run, known, gated = samples.run[slot], samples.input_known[slot], samples.gated[slot]
     found = 0
     for number in range(reach_back(count, len(run), spec), count - spec.horizon):
         if usable(run, known, gated, number, spec):
@@ -48,7 +49,7 @@ def usable_numbers(samples: Samples, count: int, slot: int, spec: FeatureSpec, o
 
 
 @kernel
-def count_usable(samples: Samples, count: IntArray, slots: IntArray, spec: FeatureSpec, out: IntArray) -> None:
+def count_usable(samples: SampleArrays, count: IntArray, slots: IntArray, spec: FeatureSpec, out: IntArray) -> None:
     """How many data vehicles (B,) have."""
     numbers = np.empty(samples.t.shape[1], dtype=np.int64)
     for b in range(len(slots)):
@@ -57,7 +58,7 @@ def count_usable(samples: Samples, count: IntArray, slots: IntArray, spec: Featu
 
 @kernel
 def carry_on(
-    samples: Samples, count: IntArray, slots: IntArray, model: Model, spec: FeatureSpec, outgrown: BoolArray
+    samples: SampleArrays, count: IntArray, slots: IntArray, model: Model, spec: FeatureSpec, outgrown: BoolArray
 ) -> None:
     """Update the sums of vehicles (B,) with the data that enter and leave, and solve again. What leaves must still be
     in the window, with all that its features look back to. ``outgrown`` (B,): whether the data spread far beyond the
@@ -67,7 +68,7 @@ def carry_on(
     for b in range(len(slots)):
         slot = slots[b]
         t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
-        run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
+        run, known, gated = samples.run[slot], samples.input_known[slot], samples.gated[slot]
         mean, scale, limit = model.mean[slot], model.scale[slot], model.limit[slot]
         begin, end = reach_back(count[slot], len(t), spec), count[slot] - spec.horizon
         first, last, previous = model.oldest[slot], model.newest[slot], -2
@@ -113,7 +114,7 @@ def _solve(model: Model, slot: int, begins: IntArray, lower: FloatArray) -> None
 
 @kernel
 def fit(
-    samples: Samples,
+    samples: SampleArrays,
     count: IntArray,
     slots: IntArray,
     fill: BoolArray,
@@ -157,7 +158,7 @@ def fit(
 
 
 @kernel
-def _ranges(samples: Samples, count: int, slot: int, model: Model, spec: FeatureSpec) -> None:
+def _ranges(samples: SampleArrays, count: int, slot: int, model: Model, spec: FeatureSpec) -> None:
     """The ranges of the states and inputs of a vehicle, of what enters the model: samples that N others follow."""
     x, u, gated = samples.x[slot], samples.u[slot], samples.gated[slot]
     indices = len(x)
@@ -168,7 +169,7 @@ def _ranges(samples: Samples, count: int, slot: int, model: Model, spec: Feature
     for i in range(spec.n):
         model.low[slot, i], model.high[slot, i] = range_of(x[:, i], used)
     for number in range(begin, end):
-        used[number % indices] = samples.known[slot, number % indices]
+        used[number % indices] = samples.input_known[slot, number % indices]
     for i in range(spec.m):
         model.low[slot, spec.n + i], model.high[slot, spec.n + i] = range_of(u[:, i], used)
 

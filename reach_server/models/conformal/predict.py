@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from reach_server.data.observed_range import ENOUGH, FAR, outside
+from reach_server.data.samples import SampleArrays
 from reach_server.models.conformal.features import (
     ahead,
     clean,
@@ -19,7 +20,7 @@ from reach_server.models.conformal.limited import Bounds, bounds_of, hold, hold_
 from reach_server.models.conformal.ridge import first_columns, increments_of, standardise
 from reach_server.models.conformal.scale import LEAST_SIZE
 from reach_server.models.conformal.score import encoded, renew_margins, score_of, tube_score, write
-from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.models.conformal.state import Model, PendingPredictions, ScoreHistory
 from reach_server.numeric.jit import ONE, ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
@@ -88,16 +89,16 @@ def sizes_at(
 
 
 @kernel
-def known_now(samples: Samples, count: IntArray, slots: IntArray, spec: FeatureSpec, out: BoolArray) -> None:
+def known_now(samples: SampleArrays, count: IntArray, slots: IntArray, spec: FeatureSpec, out: BoolArray) -> None:
     """Which vehicles (B,) have all that the features of their newest sample look back to."""
     for b in range(len(slots)):
         slot = slots[b]
-        out[b] = count[slot] > 0 and complete(samples.run[slot], samples.known[slot], count[slot] - 1, spec)
+        out[b] = count[slot] > 0 and complete(samples.run[slot], samples.input_known[slot], count[slot] - 1, spec)
 
 
 @kernel
 def forecast(
-    samples: Samples,
+    samples: SampleArrays,
     count: IntArray,
     slots: IntArray,
     plan: FloatArray,
@@ -206,7 +207,7 @@ def _turn(angle: float, spec: FeatureSpec, half: FloatArray, generators: FloatAr
 
 @kernel
 def observe(
-    samples: Samples,
+    samples: SampleArrays,
     count: IntArray,
     slots: IntArray,
     record: ScoreHistory,
@@ -249,7 +250,7 @@ def _forget(record: ScoreHistory, slot: int, index: int, confidence: float) -> N
 
 @kernel
 def _update_scores(
-    samples: Samples,
+    samples: SampleArrays,
     slot: int,
     number: int,
     record: ScoreHistory,
@@ -285,7 +286,7 @@ def _update_scores(
 
 @kernel
 def _reveals_glitch(
-    samples: Samples,
+    samples: SampleArrays,
     slot: int,
     number: int,
     record: ScoreHistory,

@@ -31,7 +31,7 @@ from reach_server.models.conformal import fit as fitting
 from reach_server.models.conformal.limited import Bounds
 from reach_server.models.conformal.predict import forecast, known_now, observe
 from reach_server.models.conformal.scale import resize
-from reach_server.models.conformal.spec import FeatureSpec, Samples, owners
+from reach_server.models.conformal.spec import FeatureSpec, owners
 from reach_server.models.conformal.state import empty, grown
 from reach_server.numeric.slot_table import grow_rows
 from reach_server.numeric.types import BoolArray, FloatArray, IndexArray, IntArray
@@ -199,7 +199,7 @@ class ConformalPredictor:
             self._revision[slots[moved]] = revision[slots[moved]]
         live = slots[~self._outdated[slots]] if self._outdated[slots].any() else slots
         gate = np.empty(len(live), dtype=np.int64)
-        observe(self._samples(), count, live, self._record, self._pending, self._spec, self._confidence, gate)
+        observe(self._window.arrays(), count, live, self._record, self._pending, self._spec, self._confidence, gate)
         if (found := gate >= 0).any():
             self._window.gate(live[found], gate[found])
             self._revision[live[found]] = revision[live[found]]
@@ -225,7 +225,7 @@ class ConformalPredictor:
         if not renewed.all():
             carried = slots[~renewed]
             outgrown = np.empty(len(carried), dtype=bool)
-            fitting.carry_on(self._samples(), self._window.count, carried, self._model, self._spec, outgrown)
+            fitting.carry_on(self._window.arrays(), self._window.count, carried, self._model, self._spec, outgrown)
             self._solved[carried] = self._on_grid(carried)
             self._renewal[carried[outgrown]] = self._window.count[carried[outgrown]]
         if renewed.any():
@@ -255,8 +255,7 @@ class ConformalPredictor:
             self._record.codes[slot] = 0
             self._model.scale[slot] = 0.0
             self._pending.number[slot] = self._pending.last_number[slot] = -1
-        columns = self._window.columns()
-        newest = columns.x[slots, (self._window.count[slots] - 1) % self._window.size]
+        newest = self._window.arrays().x[slots, (self._window.count[slots] - 1) % self._window.size]
         self._checksum[slots] = [zlib.crc32(state.tobytes()) for state in newest]
         self._pending.seen[slots] = self._window.count[slots]
         self._fit(slots, np.ones(len(slots), dtype=bool))
@@ -267,7 +266,7 @@ class ConformalPredictor:
 
     def _fit(self, slots: IndexArray, fill: BoolArray) -> None:
         """Models and sizes of some vehicles from all of their windows."""
-        samples, count = self._samples(), self._window.count
+        samples, count = self._window.arrays(), self._window.count
         fitting.fit(samples, count, slots, fill, self._model, self._record, self._spec)
         resize(samples, count, slots, self._record, self._spec, self._plane, self._confidence)
         self._chosen_on[slots] = np.where(fill, self._model.data[slots], self._chosen_on[slots])
@@ -288,7 +287,7 @@ class ConformalPredictor:
     def _data(self, slots: IndexArray) -> IntArray:
         """How many data the windows (B,) hold."""
         data = np.empty(len(slots), dtype=np.int64)
-        fitting.count_usable(self._samples(), self._window.count, slots, self._spec, data)
+        fitting.count_usable(self._window.arrays(), self._window.count, slots, self._spec, data)
         return data
 
     def ready(self, slots: IndexArray) -> BoolArray:
@@ -298,7 +297,7 @@ class ConformalPredictor:
     def known(self, slots: IndexArray) -> BoolArray:
         """Of which vehicles (B,) the newest sample has all that its features look back to."""
         complete = np.empty(len(slots), dtype=bool)
-        known_now(self._samples(), self._window.count, slots, self._spec, complete)
+        known_now(self._window.arrays(), self._window.count, slots, self._spec, complete)
         return complete
 
     def missing(self, slots: IndexArray) -> IntArray:
@@ -335,13 +334,9 @@ class ConformalPredictor:
         held = np.zeros((len(slots), 2), dtype=bool)
         if bounds is None:
             bounds = Bounds.none(len(slots), spec.horizon, spec.n)
-        samples, count = self._samples(), self._window.count
+        samples, count = self._window.arrays(), self._window.count
         forecast(
             samples, count, slots, later, self._model, self._record, self._pending, spec, remember, bounds,
             self._owner, center, half, generators, unseen, held,
         )  # fmt: skip
         return Boxes(center, half, generators, unseen, held)
-
-    def _samples(self) -> Samples:
-        columns = self._window.columns()
-        return Samples(columns.t, columns.x, columns.u, columns.run, columns.input_known, columns.gated)

@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from reach_server.data.samples import SampleArrays
 from reach_server.models.conformal.features import clean, complete, recorded, size_regressors
 from reach_server.models.conformal.score import (
     LEAST_RATIO,
@@ -27,7 +28,7 @@ from reach_server.models.conformal.score import (
     score_of,
     tube_score,
 )
-from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.models.conformal.state import ScoreHistory
 from reach_server.numeric.jit import ZERO, kernel
 from reach_server.numeric.types import BoolArray, FloatArray, IntArray
@@ -87,7 +88,7 @@ def _quantile(values: FloatArray, column: int, part: float) -> float:
 
 @kernel
 def resize(
-    samples: Samples,
+    samples: SampleArrays,
     count: IntArray,
     slots: IntArray,
     record: ScoreHistory,
@@ -133,11 +134,11 @@ def resize(
 
 
 @kernel
-def _origins(samples: Samples, count: int, slot: int, spec: FeatureSpec, origin: IntArray, phi: FloatArray) -> int:
+def _origins(samples: SampleArrays, count: int, slot: int, spec: FeatureSpec, origin: IntArray, phi: FloatArray) -> int:
     """Numbers ``origin`` (S,) and features ``phi`` (S, total) of the samples whose features can still be computed; how
     many."""
     t, x, u = samples.t[slot], samples.x[slot], samples.u[slot]
-    run, known, gated = samples.run[slot], samples.known[slot], samples.gated[slot]
+    run, known, gated = samples.run[slot], samples.input_known[slot], samples.gated[slot]
     found = 0
     for number in range(max(0, count - len(t) + spec.reach), count - 1):
         if complete(run, known, number, spec) and clean(gated, number, ZERO, spec):

@@ -11,11 +11,10 @@ pose is noisy, a mean over several is what says how fast a vehicle moves.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fleet_bus.messages import VehicleProfile
 from reach_server.data.regressors import RegressorSpec
-from reach_server.numeric.types import BoolArray, FloatArray, IntArray
+from reach_server.numeric.types import IntArray
 
 #: Fewest and most lagged increments; between them, half as many as inputs lag.
 LEAST_INCREMENTS, MOST_INCREMENTS = 2, 6
@@ -103,15 +102,3 @@ def owners(profile: VehicleProfile, layout: RegressorSpec, spec: FeatureSpec) ->
     if spec.planned:
         found += later * (spec.horizon - 1)
     return np.array(found, dtype=np.int64)
-
-
-class Samples(NamedTuple):
-    """The ring buffers of a window, as ``reach_server.data.window.Columns`` holds them, of all vehicles or (without the
-    first axis) of one."""
-
-    t: IntArray
-    x: FloatArray
-    u: FloatArray
-    run: NDArray[np.int32]
-    known: BoolArray
-    gated: BoolArray

@@ -22,7 +22,7 @@ def test_a_state_that_is_no_number_is_refused_and_leaves_a_gap(value: float) -> 
     assert w.append(moved(batch, 3, np.array([0.0, value, 0.0, 1.0]))) == AppendReport(5, not_finite=1)
     assert [seq for _, seq in w.keys(0)] == [0, 1, 2, 4, 5]
     assert run_of(w) == [0, 1, 2, 0, 1]
-    assert np.isfinite(w.columns().x).all()
+    assert np.isfinite(w.arrays().x).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e31])
@@ -172,7 +172,7 @@ def test_derived_columns_are_those_of_the_samples_in_whatever_order_they_came() 
     for rows in np.array_split(np.argsort(order, kind="stable"), 60):
         shuffled.append(batch.take(rows))
     for w in (in_order, shuffled):
-        columns, count = w.columns(), int(w.count[0])
+        columns, count = w.arrays(), int(w.count[0])
         places = np.arange(count - SIZE, count) % SIZE
         block = w.block(ALL)
         np.testing.assert_array_equal(columns.t[0, places], block.t[0])
@@ -263,8 +263,8 @@ def test_stamps_are_judged_as_by_the_twin(story: list[str]) -> None:
         )
     assert w.keys(0) == [one[:2] for one in twin.held]
     held = len(twin.held)
-    np.testing.assert_array_equal(w.columns().run[0, :held], twin.runs)
-    np.testing.assert_array_equal(w.columns().t[0, :held], [one[2] for one in twin.held])
+    np.testing.assert_array_equal(w.arrays().run[0, :held], twin.runs)
+    np.testing.assert_array_equal(w.arrays().t[0, :held], [one[2] for one in twin.held])
 
 
 def test_places_and_revisions_follow_what_happens() -> None:
@@ -272,21 +272,21 @@ def test_places_and_revisions_follow_what_happens() -> None:
     for k in range(SIZE + 5):
         w.append(circle(1, 2 * k))
     assert w.count.tolist()[:2] == [SIZE + 5, 0]
-    assert w.columns().t[0, (w.count[0] - 1) % SIZE] == w.newest(ALL)[2][0]
+    assert w.arrays().t[0, (w.count[0] - 1) % SIZE] == w.newest(ALL)[2][0]
     newest = int((w.count[0] - 2) % SIZE)
     w.gate(np.array([0]), np.array([newest]))
     assert w.revision.tolist()[:2] == [1, 0]
-    assert w.columns().gated[0].sum() == 1
+    assert w.arrays().gated[0].sum() == 1
     w.append(circle(1, 2 * SIZE + 5))
     assert (int(w.revision[0]), int(w.count[0])) == (2, SIZE + 6)
-    gated = np.flatnonzero(w.columns().gated[0])
-    assert w.columns().t[0, gated].tolist() == [START + 2 * (SIZE + 3) * STEP], "the glitch stays where its sample is"
+    gated = np.flatnonzero(w.arrays().gated[0])
+    assert w.arrays().t[0, gated].tolist() == [START + 2 * (SIZE + 3) * STEP], "the glitch stays where its sample is"
     assert w.append(circle(1)) == AppendReport(too_old=1)
     assert w.append(circle(1, 2 * SIZE + 5)) == AppendReport(repeated=1)
     assert int(w.revision[0]) == 2
     for k in range(SIZE):
         w.append(circle(1, 1000 + k))
-    assert not w.columns().gated.any()
+    assert not w.arrays().gated.any()
     w.clear(0)
     assert (int(w.count[0]), int(w.revision[0])) == (0, 3)
 

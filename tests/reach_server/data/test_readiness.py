@@ -13,7 +13,7 @@ ALL = np.array([0])
 def usable(window: Window, links: int) -> int:
     """Samples held that enough links in a row lead to."""
     held = int(window.filled(ALL)[0])
-    return int((window.columns().run[0, :held] >= links).sum())
+    return int((window.arrays().run[0, :held] >= links).sum())
 
 
 @pytest.mark.parametrize("links", [1, 4])

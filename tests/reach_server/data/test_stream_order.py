@@ -174,7 +174,7 @@ def test_what_one_vehicle_sends_changes_nothing_of_another(prefix: list[list[Hea
         alone.append(mine)
         together.append(both.take(rng.permutation(len(both.t))))
     for name in ("t", "x", "u", "run", "input_known", "gated"):
-        np.testing.assert_array_equal(getattr(alone.columns(), name)[0], getattr(together.columns(), name)[0])
+        np.testing.assert_array_equal(getattr(alone.arrays(), name)[0], getattr(together.arrays(), name)[0])
     assert alone.keys(0) == together.keys(0)
     assert int(alone.count[0]) == int(together.count[0])
     assert int(alone.revision[0]) == int(together.revision[0])

@@ -70,7 +70,7 @@ def expected(stream: Stream, slot: int = 0) -> tuple[FloatArray, FloatArray]:
     """The same from the whole window at once."""
     block: Block = stream.window.block(np.array([slot]))
     data = transitions(block, stream.layout)
-    columns = stream.window.columns()
+    columns = stream.window.arrays()
     order = (stream.window.count[slot] + np.arange(stream.window.size)) % stream.window.size
     gated = columns.gated[slot, order]
     usable = data.usable[0].copy()

@@ -10,7 +10,7 @@ from fleet_bus.messages import StateFlag, VehicleProfile, load_profile, parse_pr
 from reach_server.data.regressors import RegressorSpec
 from reach_server.data.window import SampleBatch, Window
 from reach_server.models.conformal import ConformalPredictor
-from reach_server.models.conformal.spec import FeatureSpec, Samples
+from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.numeric.types import FloatArray
 from vehicle_agent.recording import load_recording
 
@@ -98,12 +98,6 @@ class Stream:
         self.window.append(SampleBatch.join(list(batches)))
         self.models.observe(self.slots)
         self.models.refit(self.slots)
-
-
-def rings(window: Window) -> Samples:
-    """The window's arrays as compiled loops see them."""
-    columns = window.columns()
-    return Samples(columns.t, columns.x, columns.u, columns.run, columns.input_known, columns.gated)
 
 
 def rotated(angle: float, vector: FloatArray) -> FloatArray:

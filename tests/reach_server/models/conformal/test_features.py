@@ -13,7 +13,6 @@ from tests.reach_server.models.conformal.streams import (
     PLAIN,
     batch_of,
     drive,
-    rings,
     slow_features,
     slow_increment,
     slow_sizes,
@@ -39,7 +38,7 @@ def test_columns_are_what_their_definition_says(name: str, planned: bool) -> Non
     jitter = rng.uniform(-0.1, 0.1, 100)
     batch = batch_of(x, u, profile, jitter=jitter)
     window.append(batch)
-    ring = rings(window)
+    ring = window.arrays()
     t, states, inputs = ring.t[0], ring.x[0], ring.u[0]
     phi, y = np.empty(spec.total), np.empty(spec.horizon * spec.n)
     psi = np.empty(spec.sizes)
@@ -69,8 +68,8 @@ def test_a_sample_is_a_datum_where_all_is_there() -> None:
     window.append(batch_of(x[:40], u[:40], CAR))
     window.append(batch_of(x[40:], u[40:], CAR, first=41))
     window.gate(np.array([0]), np.array([50]))
-    ring = rings(window)
-    run, known, gated = ring.run[0], ring.known[0], ring.gated[0]
+    ring = window.arrays()
+    run, known, gated = ring.run[0], ring.input_known[0], ring.gated[0]
     linked = np.r_[False, np.ones(39, bool), False, np.ones(19, bool)]
     for number in range(spec.reach, 60 - spec.horizon):
         back = range(number - spec.reach, number)

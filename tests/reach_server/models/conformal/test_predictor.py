@@ -21,7 +21,6 @@ from tests.reach_server.models.conformal.streams import (
     Stream,
     batch_of,
     drive,
-    rings,
     rotated,
     shorter,
     slow_center,
@@ -276,7 +275,7 @@ def test_a_glitch_is_counted_and_kept_out() -> None:
             boxes_of(stream)
     assert clean.models.glitches[0] == 0
     assert spoiled.models.glitches[0] == 1
-    gated = rings(spoiled.window).gated[0]
+    gated = spoiled.window.arrays().gated[0]
     assert gated.sum() == 1
     assert gated[450 % spoiled.window.size]
     # Its own misses are not on record, so that the margins stay.

@@ -9,7 +9,7 @@ from reach_server.data.regressors import RegressorSpec
 from reach_server.models.conformal import features, ridge
 from reach_server.models.conformal.spec import FeatureSpec
 from reach_server.numeric.types import FloatArray
-from tests.reach_server.models.conformal.streams import CAR, Stream, batch_of, drive, rings, slow_features
+from tests.reach_server.models.conformal.streams import CAR, Stream, batch_of, drive, slow_features
 from tests.reach_server.models.conformal.streams import slow_increment as increment
 
 SPEC = FeatureSpec.of(CAR, RegressorSpec.of(CAR), CAR.horizon, planned=True)
@@ -84,11 +84,11 @@ def test_sums_carried_on_are_those_of_the_window(planned: bool) -> None:
     model, count = stream.models._model, int(stream.window.count[0])
     assert count - model.newest[0] - spec.horizon < 10
     assert model.oldest[0] > 900
-    ring = rings(stream.window)
+    ring = stream.window.arrays()
     size, total = stream.window.size, 0
     gram, cross = np.zeros((spec.total, spec.total)), np.zeros((spec.total, spec.horizon * spec.n))
     for number in range(model.oldest[0], model.newest[0]):
-        if not features.usable(ring.run[0], ring.known[0], ring.gated[0], number, spec):
+        if not features.usable(ring.run[0], ring.input_known[0], ring.gated[0], number, spec):
             continue
         order = np.arange(number - spec.reach, number + spec.horizon + 1) % size
         t, states, inputs = ring.t[0, order], ring.x[0, order], ring.u[0, order]
