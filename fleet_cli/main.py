@@ -16,6 +16,7 @@ from fleet_cli.commands import scenario
 from fleet_cli.commands.agent import agent
 from fleet_cli.commands.bench import bench
 from fleet_cli.commands.calibrate import calibrate
+from fleet_cli.commands.dashboard import dashboard
 from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
 from fleet_cli.commands.paper import paper
@@ -69,5 +70,5 @@ app.command("side-info")(side_info)
 scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
-for command in (agent, replay, evaluate, calibrate, paper, bench, demo):
+for command in (agent, replay, evaluate, calibrate, paper, bench, demo, dashboard):
     app.command()(command)

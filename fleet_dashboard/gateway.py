@@ -1,0 +1,248 @@
+"""The bus, read once for all who look: messages in, a new picture ten times a second."""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Final, Self
+
+import numpy as np
+import structlog
+
+from fleet_bus import keys
+from fleet_bus.bus import Bus, Handle
+from fleet_bus.clock import SYSTEM, Clock
+from fleet_bus.errors import KeyIdError, MessageError
+from fleet_bus.messages import Assignment, Event, ScenarioDocument, ServiceStatus, VehicleProfile
+from fleet_bus.messages.state import decode_states
+from fleet_bus.pubsub import Received
+from fleet_bus.rejections import Rejections
+from fleet_dashboard.history import History, Series
+from fleet_dashboard.picture import Picture, nothing
+from fleet_dashboard.regions import Regions, RegionStore
+from fleet_dashboard.services import Services
+from fleet_dashboard.table import VehicleTable, arrivals
+from fleet_dashboard.timeline import EventLog, Obligations
+from fleet_dashboard.tube_batch import decode_tubes
+
+_log = structlog.get_logger(__name__)
+
+#: Seconds between two pictures.
+TICK: Final = 0.1
+#: Messages that wait for the next tick; a tube waits in the place of the one before it.
+_MOST_WAITING: Final = 50_000
+
+#: Subscribes to what is put from now on.
+Subscribe = Callable[[str, Callable[[Received], None]], Handle]
+
+
+class Gateway:
+    """What the page knows. ``feed`` may be called from any thread; ``tick`` from one at a time."""
+
+    def __init__(
+        self, clock: Clock = SYSTEM, *, draw: Callable[[str], Regions] | None = None, history: History | None = None
+    ) -> None:
+        self.clock = clock
+        self.rejections = Rejections()
+        self.table = VehicleTable()
+        self.services = Services()
+        self.events = EventLog()
+        self.obligations = Obligations()
+        self.history = History() if history is None else history
+        self.series = Series()
+        self.regions = RegionStore(draw)
+        self.profiles: dict[str, VehicleProfile] = {}
+        #: By vehicle and scenario.
+        self.assignments: dict[tuple[str, str], Assignment] = {}
+        self.newest_state: dict[str, Received] = {}
+        self.newest_tube: dict[str, Received] = {}
+        #: Scenario and predicate that cut the newest tube of each vehicle, with the first and last step.
+        self.cuts: dict[str, list[tuple[str, str, int, int]]] = {}
+        self.picture: Picture = nothing()
+        self.connected: Callable[[], bool] = lambda: True
+        self._number = 0
+        self._waiting: deque[Received] = deque()
+        self._tubes: dict[str, Received] = {}
+        self._tokens: deque[tuple[str, bool, int]] = deque()
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        self._rated = 0
+        self._failed = ""
+        self._acting: set[tuple[str, str]] = set()
+        self._acting_at = 0
+        self._open = ExitStack()
+
+    # Reading the bus
+
+    def listen(self, bus: Bus, subscribe: Subscribe) -> Self:
+        """Read a bus until ``close``: what is rare from its caches on, streams by ``subscribe`` from now on."""
+        with ExitStack() as opening:
+            for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_ASSIGNMENTS, keys.ALL_STATUS):
+                opening.enter_context(bus.subscriber(expression, self.feed, history=1))
+            for expression in (keys.ALL_EVENTS, keys.ALL_SERVICE_EVENTS):
+                opening.enter_context(bus.subscriber(expression, self.feed, history=32))
+            opening.enter_context(bus.watch_alive("svc/*/*", self._token))
+            for expression in (keys.ALL_STATES, keys.ALL_TUBES):
+                opening.enter_context(subscribe(expression, self.feed))
+            self._open = opening.pop_all()
+        return self
+
+    def close(self) -> None:
+        """Stop reading the bus."""
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def feed(self, received: Received) -> None:
+        """A message, from the bus or from a recording; it is looked at with the next tick."""
+        with self._lock:
+            if received.key.endswith("/tube"):
+                self._counts["tubes"] += 1
+                self._tubes[received.key] = received
+            elif len(self._waiting) < _MOST_WAITING:
+                self._waiting.append(received)
+            else:
+                self.rejections.count(MessageError("overflow", "more came than the page could read"), received.key)
+
+    def _token(self, key: str, alive: bool) -> None:
+        self._tokens.append((key, alive, self.clock.time_ns()))
+
+    # Making pictures
+
+    def run(self, stop: threading.Event) -> None:
+        """Tick until told to stop."""
+        while not self.clock.wait(stop, TICK):
+            try:
+                self.tick(self.clock.time_ns())
+                self._failed = ""
+            except Exception as error:
+                # The next tick may do better. What is shown stands still until then, which clients are told.
+                what = f"{type(error).__name__}: {error}"
+                if what != self._failed:
+                    _log.error("a tick of the page failed", error=what[:500])
+                self._failed = what
+
+    def tick(self, now: int) -> Picture:
+        """Look at what has come, and make the picture of ``now`` (ns)."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, deque()
+            tubes, self._tubes = self._tubes, {}
+        while self._tokens:
+            self.services.token(*self._tokens.popleft())
+        states = [message for message in waiting if message.key.endswith("/state")]
+        for message in waiting:
+            if not message.key.endswith("/state"):
+                self._checked(message, self._rare)
+        self._states(states)
+        self._tube_messages(list(tubes.values()))
+        self._number += 1
+        self.picture = self.table.picture(self._number, now, self.services.silent_servers(now))
+        self.history.add(self.picture)
+        self._rates(now)
+        return self.picture
+
+    def _rates(self, now: int) -> None:
+        seconds = (now - self._rated) / 1e9
+        if 0 <= seconds < 1:
+            return
+        counts, self._counts = self._counts, Counter()
+        if self._rated and seconds > 0:
+            self.series.add(self.picture, counts["samples"] / seconds, counts["tubes"] / seconds)
+        self._rated = now
+
+    def _checked(self, message: Received, handle: Callable[[Received], None]) -> None:
+        try:
+            handle(message)
+        except MessageError as error:
+            self.rejections.count(error, message.key)
+        except KeyIdError as error:
+            self.rejections.count(MessageError("key", str(error)), message.key)
+
+    def _rare(self, message: Received) -> None:
+        chunks = message.key.split("/")
+        match chunks:
+            case ["svc", _, _, "status"]:
+                self.services.status(ServiceStatus.decode(message.payload, message.encoding), message.arrived_ns)
+            case ["reach", _, "event"] | ["svc", _, _, "event"]:
+                event = Event.decode(message.payload, message.encoding)
+                if self.events.add(event, message.arrived_ns):
+                    self.obligations.event(event, message.arrived_ns)
+            case ["fleet", _, "profile"]:
+                vehicle = keys.vehicle_of(message.key)
+                profile = VehicleProfile.decode(message.payload, message.encoding)
+                self.table.profile(vehicle, profile)
+                self.profiles[vehicle] = profile
+            case ["spec", _, "document"]:
+                self.regions.document(ScenarioDocument.decode(message.payload, message.encoding))
+            case ["spec", scenario, "assignment", vehicle]:
+                self.table.row(keys.check_id(vehicle))
+                assignment = Assignment.decode(message.payload, message.encoding)
+                self.assignments[vehicle, scenario] = assignment
+                t = min(assignment.time_zero, message.arrived_ns)
+                self.obligations.assigned(vehicle, scenario, assignment.active, t)
+            case _:
+                raise MessageError("key", f"nothing is read from {message.key:.120}")
+
+    def _states(self, messages: Sequence[Received]) -> None:
+        batches, refused = decode_states([m.payload for m in messages], [m.encoding for m in messages])
+        for index, error in refused:
+            self.rejections.count(error, messages[index].key)
+        for batch in batches:
+            rows = np.array([self._row_of(messages[i]) for i in batch.index.tolist()], dtype=np.intp)
+            self.table.states(rows, batch, arrivals(messages, batch.index))
+            self._counts["samples"] += len(rows)
+            for i in batch.index.tolist():
+                self.newest_state[messages[i].key] = messages[i]
+
+    def _row_of(self, message: Received) -> int:
+        try:
+            row = self.table.row(keys.vehicle_of(message.key))
+        except KeyIdError as error:
+            self.rejections.count(MessageError("key", str(error)), message.key)
+            return -1
+        if row < 0:
+            self.rejections.count(MessageError("overflow", "more vehicles than the page keeps"), message.key)
+        return row
+
+    def _tube_messages(self, messages: Sequence[Received]) -> None:
+        batches, refused = decode_tubes(messages)
+        for index, error in refused:
+            self.rejections.count(error, messages[index].key)
+        for batch in batches:
+            newer = self.table.tubes(batch, arrivals(messages, batch.index))
+            for i in np.flatnonzero(newer).tolist():
+                fields, vehicle, message = batch.fields[i], batch.vehicles[i], messages[int(batch.index[i])]
+                self.newest_tube[vehicle] = message
+                self.cuts[vehicle] = fields["k"]
+                self.services.heard(fields["sv"], message.arrived_ns)
+                t = min(int(batch.t[i]), message.arrived_ns)
+                self.obligations.verdicts(vehicle, fields["vd"], t)
+
+    # What several parts of the page ask
+
+    def acting(self) -> set[tuple[str, str]]:
+        """Scenario and predicate that cut a tube which is not stale; worked out anew once a second."""
+        if self.picture.t - self._acting_at >= 1_000_000_000 or self.picture.t < self._acting_at:
+            self._acting_at = self.picture.t
+            stale = self.picture.stale()
+            fresh = {self.picture.ids[row] for row in np.flatnonzero(~stale).tolist()}
+            self._acting = {
+                (str(scenario), str(predicate))
+                for vehicle, cuts in list(self.cuts.items())
+                if vehicle in fresh
+                for scenario, predicate, *_ in cuts
+            }
+        return self._acting
+
+    def problems(self) -> list[str]:
+        """What is wrong as a whole, in sentences."""
+        t = self.picture.t
+        said = [] if self.connected() else ["not connected to a router: what is shown is not renewed"]
+        if self._failed:
+            said.append(f"the page itself failed, and stands still: {self._failed:.200}")
+        asked = {self.table.servers[i] for i in np.unique(self.picture.server[self.picture.tubed > 0]).tolist()}
+        return said + self.services.problems(t, asked)

@@ -1,0 +1,112 @@
+"""The list of all vehicles: what each one's sets are worth, and why it has none."""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from nicegui import events, ui
+
+from fleet_dashboard.gateway import Gateway
+from fleet_dashboard.picture import LABELS, STALE, Mark, Picture
+from fleet_dashboard.theme import COLOURS
+
+#: Cells are text and never markup: ids, servers and reasons come from outside.
+_COLUMNS: Final[list[dict[str, Any]]] = [
+    {"field": "id", "headerName": "vehicle", "pinned": "left", "width": 104},
+    {"field": "label", "width": 116, "cellClassRules": {}},
+    {"field": "why", "headerName": "note", "flex": 1, "minWidth": 130, "tooltipField": "why"},
+    {"field": "age", "headerName": "age s", "width": 78},
+    {"field": "area", "headerName": "area m²", "width": 92},
+    {"field": "cut", "headerName": "cut away %", "width": 104},
+    {"field": "coverage", "headerName": "coverage %", "width": 106},
+    {"field": "nominal", "headerName": "of nominal %", "width": 114},
+    {"field": "latency", "headerName": "latency ms", "width": 100},
+    {"field": "server", "width": 100},
+]
+_SHOWN: Final = (Mark.SILENT, Mark.TUBE_OLD, Mark.SERVER_SILENT, Mark.NO_PROFILE, Mark.TOO_LARGE, Mark.NO_POSE)
+
+
+def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
+    """A row for each vehicle of a picture, with numbers that are not known as None."""
+    waiting = gateway.services.waiting()
+    servers = gateway.table.servers
+    age = picture.age()
+    with np.errstate(all="ignore"):
+        cut = np.where(picture.area_free > 0, 100 * (1 - picture.area / picture.area_free), np.nan)
+    # Below a second an age is the time between two samples, which is nobody's concern.
+    columns = [
+        np.where(age < 1, 0.0, age).round(0), picture.area, cut.round(0), 100 * picture.coverage, 100 * picture.nominal,
+        1e3 * picture.latency,
+    ]  # fmt: skip
+    figures = zip(*(map(_number, column.tolist()) for column in columns), strict=True)
+    found = []
+    for id_, label, marks, server, (a, area, away, coverage, nominal, latency) in zip(
+        picture.ids, picture.label.tolist(), picture.marks.tolist(), picture.server.tolist(), figures, strict=False
+    ):
+        why = waiting.get(id_, "") if label == len(LABELS) - 1 else ""
+        if marks:
+            why = "; ".join(filter(None, (why, Mark(marks).words)))
+        found.append(
+            {
+                "id": id_, "label": LABELS[label], "stale": bool(marks & STALE), "age": a, "area": area, "cut": away,
+                "coverage": coverage, "nominal": nominal, "latency": latency, "server": servers[server], "why": why,
+            }
+        )  # fmt: skip
+    return found
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.4g}") if math.isfinite(value) else None
+
+
+class VehicleList:
+    """The list as an element; ``pick`` is called with the id of the vehicle that is chosen."""
+
+    def __init__(self, gateway: Gateway, pick: Callable[[str], None]) -> None:
+        self._gateway = gateway
+        with ui.row().classes("w-full items-center no-wrap gap-2 q-pb-sm"):
+            search = ui.input(placeholder="search vehicle, label, server, note").props("dense outlined clearable")
+            search.classes("grow").on_value_change(self._search)
+            self._count = ui.label().classes("fleet-quiet text-xs whitespace-nowrap")
+        by_label = {name: COLOURS[name] for name in LABELS}
+        columns = [
+            {
+                **column,
+                ":cellStyle": f"(p) => ({{color: p.data.stale ? '{COLOURS['stale']}' : {by_label}[p.value] || ''}})",
+            }
+            if column["field"] == "label"
+            else column
+            for column in _COLUMNS
+        ]  # fmt: skip
+        self.grid = ui.aggrid(
+            {
+                "columnDefs": columns,
+                "defaultColDef": {"sortable": True, "resizable": True, "suppressMovable": True},
+                "rowData": [],
+                ":getRowId": "(p) => p.data.id",
+                ":getRowStyle": "(p) => p.data.stale ? {opacity: 0.6} : {}",
+                "rowHeight": 30,
+                "headerHeight": 32,
+                "rowSelection": {"mode": "singleRow", "checkboxes": False, "enableClickSelection": True},
+                "overlayNoRowsTemplate": "no vehicle has been heard of yet",
+            },
+            theme="balham",
+            auto_size_columns=False,
+        ).classes("w-full grow")
+        self._pick = pick
+        self.grid.on("cellClicked", self._clicked, ["rowId"])
+
+    def _search(self, event: events.ValueChangeEventArguments[str | None]) -> None:
+        self.grid.run_grid_method("setGridOption", "quickFilterText", event.value or "")
+
+    def _clicked(self, event: events.GenericEventArguments) -> None:
+        row = event.args.get("rowId")
+        if isinstance(row, str):
+            self._pick(row)
+
+    def refresh(self, picture: Picture) -> None:
+        """Show a picture."""
+        found = rows(self._gateway, picture)
+        self.grid.run_grid_method("setGridOption", "rowData", found)
+        self._count.set_text(f"{len(found)} vehicles")
