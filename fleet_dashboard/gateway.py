@@ -18,7 +18,7 @@ from fleet_bus.messages.state import decode_states
 from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from fleet_dashboard.history import History, Series
-from fleet_dashboard.picture import Picture, nothing
+from fleet_dashboard.picture import ASTRAY, Mark, Picture, nothing
 from fleet_dashboard.regions import Regions, RegionStore
 from fleet_dashboard.services import Services
 from fleet_dashboard.table import VehicleTable, arrivals
@@ -171,6 +171,8 @@ class Gateway:
                 event = Event.decode(message.payload, message.encoding)
                 if self.events.add(event, message.arrived_ns):
                     self.obligations.event(event, message.arrived_ns)
+                    if event.vehicle is not None:
+                        self._astray(event.vehicle)
             case ["fleet", _, "profile"]:
                 vehicle = keys.vehicle_of(message.key)
                 profile = VehicleProfile.decode(message.payload, message.encoding)
@@ -184,8 +186,16 @@ class Gateway:
                 self.assignments[vehicle, scenario] = assignment
                 t = min(assignment.time_zero, message.arrived_ns)
                 self.obligations.assigned(vehicle, scenario, assignment.active, t)
+                self._astray(vehicle)
             case _:
                 raise MessageError("key", f"nothing is read from {message.key:.120}")
+
+    def _astray(self, vehicle: str) -> None:
+        marks = Mark(0)
+        for broken in self.obligations.contradicted(vehicle):
+            marks |= Mark.LEFT if broken.obligation.endswith(".assume") else Mark.VIOLATES
+        if marks or self.table.find(vehicle) is not None:
+            self.table.astray(vehicle, marks)
 
     def _states(self, messages: Sequence[Received]) -> None:
         batches, refused = decode_states([m.payload for m in messages], [m.encoding for m in messages])
@@ -220,7 +230,8 @@ class Gateway:
                 self.cuts[vehicle] = fields["k"]
                 self.services.heard(fields["sv"], message.arrived_ns)
                 t = min(int(batch.t[i]), message.arrived_ns)
-                self.obligations.verdicts(vehicle, fields["vd"], t)
+                if self.obligations.verdicts(vehicle, fields["vd"], t):
+                    self._astray(vehicle)
 
     # What several parts of the page ask
 
@@ -237,6 +248,17 @@ class Gateway:
                 for scenario, predicate, *_ in cuts
             }
         return self._acting
+
+    def alarms(self, picture: Picture, most: int = 3) -> list[str]:
+        """Of the vehicles that do what they should not in a picture, the first ``most`` with why, and how many more."""
+        rows = np.flatnonzero((picture.marks & int(ASTRAY)) != 0).tolist()
+        said = []
+        for row in rows[:most]:
+            vehicle = picture.ids[row]
+            words = Mark(int(picture.marks[row])) & ASTRAY
+            why = next((broken.verdict for broken in self.obligations.contradicted(vehicle)), "")
+            said.append(f"{vehicle} {words.words}" + (f": {why}" if why else ""))
+        return said + ([f"and {len(rows) - most} more vehicles"] if len(rows) > most else [])
 
     def problems(self) -> list[str]:
         """What is wrong as a whole, in sentences."""

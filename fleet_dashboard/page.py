@@ -47,6 +47,9 @@ class FleetPage:
             with ui.element("div").classes("fleet-left"):
                 self._banner = ui.label().classes("fleet-banner").props("role=alert")
                 self._banner.set_visibility(False)
+                self._alarm = ui.label().classes("fleet-banner fleet-alarm cursor-pointer").props("role=alert")
+                self._alarm.on("click", lambda: self._tabs.set_value("events"))
+                self._alarm.set_visibility(False)
                 self._past = ui.label().classes("fleet-banner fleet-past")
                 self._past.set_visibility(False)
                 self._map_and_tools()
@@ -179,6 +182,9 @@ class FleetPage:
         problems = gateway.problems() if self._live and self._view.position is None else []
         self._banner.set_text(" · ".join(problems[:4]))
         self._banner.set_visibility(bool(problems))
+        alarms = gateway.alarms(picture)
+        self._alarm.set_text(" · ".join(alarms))
+        self._alarm.set_visibility(bool(alarms))
         past = self._live and self._view.position is not None
         self._past.set_text(f"paused: this is how it was at {clock(picture.t)}")
         self._past.set_visibility(past)

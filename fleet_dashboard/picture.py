@@ -35,6 +35,8 @@ class Mark(IntFlag):
     NO_PROFILE = 8
     TOO_LARGE = 16
     NO_POSE = 32
+    LEFT = 64
+    VIOLATES = 128
 
     @property
     def words(self) -> str:
@@ -49,9 +51,12 @@ _WORDS: Final = {
     Mark.NO_PROFILE: "no profile has come",
     Mark.TOO_LARGE: "its sets are too large to draw",
     Mark.NO_POSE: "its place is not known",
+    Mark.LEFT: "left its scenario",
+    Mark.VIOLATES: "violates a requirement",
 }
-#: Marks that make what is shown stale.
+#: Marks that make what is shown stale, and those that say that a vehicle does what it should not.
 STALE: Final = Mark.SILENT | Mark.TUBE_OLD | Mark.SERVER_SILENT
+ASTRAY: Final = Mark.LEFT | Mark.VIOLATES
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,9 +40,11 @@ class Plots:
     def __init__(self, plots: Sequence[_Plot], columns: Sequence[str]) -> None:
         self._plots, self._columns = plots, list(columns)
         self._charts = []
-        for title, _, lines in plots:
+        for title, factor, lines in plots:
             ui.label(title).classes("text-xs fleet-quiet q-px-sm q-pt-xs")
-            self._charts.append(ui.echart(_options(lines)).classes("w-full").style("height:130px"))
+            self._charts.append(
+                ui.echart(_options(lines, 100 if factor == 100 else None)).classes("w-full").style("height:130px")
+            )
 
     def refresh(self, times: Floats, figures: Floats | Singles) -> None:
         """Show figures (T, F) at Unix seconds (T,)."""
@@ -69,7 +71,7 @@ def vehicle_plots() -> Plots:
     return Plots(VEHICLE, Series.VEHICLE)
 
 
-def _options(lines: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
+def _options(lines: Sequence[tuple[str, str, str]], most: float | None) -> dict[str, Any]:
     return {
         "animation": False,
         "grid": {"left": 8, "right": 16, "top": 22 if len(lines) > 1 else 8, "bottom": 4, "containLabel": True},
@@ -77,7 +79,7 @@ def _options(lines: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
         "tooltip": {"trigger": "axis", "confine": True},
         "xAxis": {"type": "time", "axisLabel": {"color": _INK, "hideOverlap": True}},
         "yAxis": {
-            "type": "value", "scale": True, "splitNumber": 3, "axisLabel": {"color": _INK},
+            "type": "value", "scale": True, "max": most, "splitNumber": 3, "axisLabel": {"color": _INK},
             "splitLine": {"lineStyle": {"color": _INK, "opacity": 0.2}},
         },
         "series": [

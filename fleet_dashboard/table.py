@@ -32,7 +32,8 @@ def _columns(rows: int, steps: int, corners: int) -> dict[str, NDArray[Any]]:
         "center": np.zeros((rows, steps, 2)),
         "outline": np.zeros((rows, steps, corners, 2), dtype=np.float32),
         "low": np.full((rows, 2), np.inf), "high": np.full((rows, 2), -np.inf),
-        "profiled": np.zeros(rows, dtype=bool), "roles": np.full((rows, 3), -1), "epoch": whole.copy(),
+        "profiled": np.zeros(rows, dtype=bool),
+        "astray": np.zeros(rows, dtype=np.uint8), "roles": np.full((rows, 3), -1), "epoch": whole.copy(),
         "seq": whole - 1,
         "seen_seq": np.full((rows, _REMEMBERED), -1), "seen_at": np.zeros((rows, _REMEMBERED), dtype=np.int64),
     }  # fmt: skip
@@ -95,6 +96,12 @@ class VehicleTable:
             self._data["roles"][row, 2] = names.index(roles.heading)
         self._data["nominal"][row] = 1.0 if profile.guaranteed else profile.confidence
         self._data["profiled"][row] = True
+
+    def astray(self, vehicle: str, marks: Mark) -> None:
+        """Note what a vehicle does that it should not: ``Mark.LEFT`` and ``Mark.VIOLATES``, or neither."""
+        row = self.row(vehicle)
+        if row >= 0:
+            self._data["astray"][row] = marks
 
     def states(self, rows: NDArray[np.intp], batch: StateBatch, arrived: NDArray[np.int64]) -> None:
         """Take samples in: ``rows`` (B,), -1 for those to be left out, and when they ``arrived`` (B,) in ns. Of a
@@ -164,7 +171,7 @@ class VehicleTable:
         position = shown["position"]
         lost = np.isnan(position[:, 0]) & (shown["steps"] > 0)
         position[lost] = shown["center"][lost, 0]
-        marks = np.zeros(count, dtype=np.uint8)
+        marks = self._data["astray"][:count].copy()
         sampled, tubed = shown["sampled"], shown["tubed"]
         marks[(sampled > 0) & (t - sampled > _SILENT_NS)] |= np.uint8(Mark.SILENT)
         marks[(tubed > 0) & (t - tubed > _SILENT_NS)] |= np.uint8(Mark.TUBE_OLD)

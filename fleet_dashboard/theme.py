@@ -10,11 +10,11 @@ _DARK: Final = ((38, 190, 145), (86, 180, 233), (240, 170, 40), (255, 106, 61), 
 PALETTE: Final = {
     "light": {
         "colours": [list(colour) for colour in _LIGHT], "text": "#1f2933", "faint": "#8a95a1", "grid": "#e3e8ee",
-        "region": "#5f6b7a", "active": "#8e3b9e", "halo": "#ffffff",
+        "region": "#5f6b7a", "active": "#8e3b9e", "halo": "#ffffff", "alarm": "#c2410c",
     },
     "dark": {
         "colours": [list(colour) for colour in _DARK], "text": "#e6ebf1", "faint": "#66727f", "grid": "#222c37",
-        "region": "#8b98a7", "active": "#d78bea", "halo": "#10161d",
+        "region": "#8b98a7", "active": "#d78bea", "halo": "#10161d", "alarm": "#ff8a4c",
     },
 }  # fmt: skip
 
@@ -50,7 +50,8 @@ background: var(--panel); border-top: 1px solid var(--line); } .fleet-tools { po
 flex: 1; min-height: 0; } .fleet-legend { position: absolute; top: 10px; left: 10px; z-index: 1; display: flex;
 flex-direction: column; gap: 2px; padding: 6px 10px; border-radius: 4px; font-size: 12px; background: var(--panel);
 border: 1px solid var(--line); opacity: .93; } .fleet-banner { background: #b3380f; color: #fff; padding: 6px 14px;
-font-weight: 500; width: 100%; } .fleet-past { background: #6b4ba1; } .fleet-quiet { color: var(--quiet); }
+font-weight: 500; width: 100%; } .fleet-alarm { background: #7a4a00; }
+.fleet-past { background: #6b4ba1; } .fleet-quiet { color: var(--quiet); }
 .fleet-figure { font-variant-numeric: tabular-nums; } .fleet-dot { display: inline-block; width: 10px; height: 10px;
 border-radius: 50%; margin-right: 6px; } .q-tab-panel { padding: 8px; } @media (max-width: 800px) { .fleet-main {
 grid-template-columns: 1fr; height: auto; } .fleet-left { height: 62dvh; } .fleet-right { border-left: 0; border-top:

@@ -56,17 +56,21 @@ class Obligations:
     """Requirements, and the side information itself (``<scenario>.assume``), of all vehicles through time."""
 
     def __init__(self) -> None:
-        self._now: dict[tuple[str, str], Transition] = {}
+        #: The newest transitions, by vehicle and obligation.
+        self._of: dict[str, dict[str, Transition]] = {}
+        self._followed = 0
         self.transitions: deque[Transition] = deque(maxlen=MOST_TRANSITIONS)
 
-    def verdicts(self, vehicle: str, verdicts: Mapping[str, str], t: int) -> None:
-        """Verdicts that a tube carries, which was computed from a sample at ``t`` (ns)."""
-        for obligation, verdict in verdicts.items():
-            self._tell(vehicle, str(obligation), fate(str(verdict)), str(verdict), t)
+    def verdicts(self, vehicle: str, verdicts: Mapping[str, str], t: int) -> bool:
+        """Verdicts that a tube carries, which was computed from a sample at ``t`` (ns); whether one is new."""
+        told = [self._tell(vehicle, str(o), fate(str(v)), str(v), t) for o, v in verdicts.items()]
+        return any(told)
 
     def assigned(self, vehicle: str, scenario: str, active: bool, t: int) -> None:
-        """A vehicle takes part in a scenario from ``t`` (ns) on, or no longer."""
-        if active:
+        """A vehicle takes part in a scenario from ``t`` (ns) on, or no longer. What is said again of a scenario that it
+        has left since does not bring it back."""
+        before = self._of.get(vehicle, {}).get(f"{scenario}.assume")
+        if active and (before is None or before.t < t):
             self._tell(vehicle, f"{scenario}.assume", Fate.PENDING, "holds so far", t)
 
     def event(self, event: Event, arrived: int) -> None:
@@ -75,15 +79,23 @@ class Obligations:
             scenario = str(event.details.get("scenario", "scenario"))[:64]
             self._tell(event.vehicle, f"{scenario}.assume", Fate.CONTRADICTED, event.message, min(event.t, arrived))
 
-    def _tell(self, vehicle: str, obligation: str, what: Fate, verdict: str, t: int) -> None:
-        key = vehicle, obligation
-        before = self._now.get(key)
+    def _tell(self, vehicle: str, obligation: str, what: Fate, verdict: str, t: int) -> bool:
+        known = self._of.setdefault(vehicle, {})
+        before = known.get(obligation)
         if before is not None and before.fate is what:
-            return
-        if before is None and len(self._now) >= MOST_FOLLOWED:
-            return
-        self._now[key] = Transition(t, vehicle, obligation, what, verdict)
-        self.transitions.append(self._now[key])
+            return False
+        if before is None:
+            if self._followed >= MOST_FOLLOWED:
+                return False
+            self._followed += 1
+        known[obligation] = Transition(t, vehicle, obligation, what, verdict)
+        self.transitions.append(known[obligation])
+        return True
+
+    def contradicted(self, vehicle: str) -> list[Transition]:
+        """Obligations of a vehicle that are contradicted now, side information first."""
+        found = [now for now in self._of.get(vehicle, {}).values() if now.fate is Fate.CONTRADICTED]
+        return sorted(found, key=lambda now: not now.obligation.endswith(".assume"))
 
     def until(self, t: int) -> dict[tuple[str, str], list[Transition]]:
         """Transitions not after ``t`` (ns) by vehicle and obligation, in order."""

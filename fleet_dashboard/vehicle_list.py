@@ -1,20 +1,23 @@
 """The list of all vehicles: what each one's sets are worth, and why it has none."""
 
 import math
+import re
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
 
+from fleet_bus.messages import Label
 from fleet_dashboard.gateway import Gateway
-from fleet_dashboard.picture import LABELS, STALE, Mark, Picture
+from fleet_dashboard.picture import ASTRAY, LABELS, NO_TUBE, STALE, Mark, Picture
 from fleet_dashboard.theme import COLOURS
 
 #: Cells are text and never markup: ids, servers and reasons come from outside.
 _COLUMNS: Final[list[dict[str, Any]]] = [
     {"field": "id", "headerName": "vehicle", "pinned": "left", "width": 104},
-    {"field": "label", "width": 116, "cellClassRules": {}},
+    {"field": "label", "headerName": "label", "width": 112},
     {"field": "why", "headerName": "note", "flex": 1, "minWidth": 130, "tooltipField": "why"},
     {"field": "age", "headerName": "age s", "width": 78},
     {"field": "area", "headerName": "area m²", "width": 92},
@@ -22,9 +25,8 @@ _COLUMNS: Final[list[dict[str, Any]]] = [
     {"field": "coverage", "headerName": "coverage %", "width": 106},
     {"field": "nominal", "headerName": "of nominal %", "width": 114},
     {"field": "latency", "headerName": "latency ms", "width": 100},
-    {"field": "server", "width": 100},
+    {"field": "server", "headerName": "server", "width": 100},
 ]
-_SHOWN: Final = (Mark.SILENT, Mark.TUBE_OLD, Mark.SERVER_SILENT, Mark.NO_PROFILE, Mark.TOO_LARGE, Mark.NO_POSE)
 
 
 def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
@@ -44,16 +46,31 @@ def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
     for id_, label, marks, server, (a, area, away, coverage, nominal, latency) in zip(
         picture.ids, picture.label.tolist(), picture.marks.tolist(), picture.server.tolist(), figures, strict=False
     ):
-        why = waiting.get(id_, "") if label == len(LABELS) - 1 else ""
+        parts = [waiting.get(id_, "")] if label == NO_TUBE else []
         if marks:
-            why = "; ".join(filter(None, (why, Mark(marks).words)))
+            parts.append(Mark(marks).words)
+        if marks & ASTRAY:
+            parts += [broken.verdict for broken in gateway.obligations.contradicted(id_)]
+        why = "; ".join(filter(None, parts))
         found.append(
             {
-                "id": id_, "label": LABELS[label], "stale": bool(marks & STALE), "age": a, "area": area, "cut": away,
+                "id": id_, "label": LABELS[label], "stale": bool(marks & STALE),
+                "astray": bool(marks & ASTRAY), "age": a, "area": area, "cut": away,
                 "coverage": coverage, "nominal": nominal, "latency": latency, "server": servers[server], "why": why,
             }
         )  # fmt: skip
-    return found
+    return sorted(found, key=_order)
+
+
+def _order(row: dict[str, Any]) -> tuple[int, list[tuple[int, str]]]:
+    """What is wrong first, then by name, numbers in names as numbers."""
+    rank = 0 if row["astray"] else 1 if row["label"] == Label.CONTRADICTED else 2 if row["stale"] else 3
+    return rank, _natural(row["id"])
+
+
+@lru_cache(maxsize=20_000)
+def _natural(id_: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", id_)]
 
 
 def _number(value: float) -> float | None:
@@ -85,7 +102,7 @@ class VehicleList:
                 "defaultColDef": {"sortable": True, "resizable": True, "suppressMovable": True},
                 "rowData": [],
                 ":getRowId": "(p) => p.data.id",
-                ":getRowStyle": "(p) => p.data.stale ? {opacity: 0.6} : {}",
+                ":getRowStyle": "(p) => p.data.astray ? {background: '#dd512722'} : p.data.stale ? {opacity: 0.6} : {}",
                 "rowHeight": 30,
                 "headerHeight": 32,
                 "rowSelection": {"mode": "singleRow", "checkboxes": False, "enableClickSelection": True},

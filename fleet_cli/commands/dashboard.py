@@ -31,9 +31,7 @@ def dashboard(
         typer.Option(help="Who looks needs this; made and printed if --host is another one.", envvar="FLEET_TOKEN"),
     ] = None,
     root_path: Annotated[str, typer.Option(help="Path under which a reverse proxy has the page, such as /fleet.")] = "",
-    recording: Annotated[
-        Path | None, typer.Option("--open", help="Show this recording (MCAP) instead of the bus.")
-    ] = None,
+    recording: Annotated[Path | None, typer.Option("--open", help="Show this recording instead of the bus.")] = None,
     router: Routers = DEFAULT_ROUTERS,
 ) -> None:
     """The page: map, list, timeline and plots in a browser, until interrupted. It only reads."""

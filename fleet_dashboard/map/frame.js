@@ -3,7 +3,9 @@
 const MAGIC = 0x314d5246;
 const VERSION = 1;
 
-export const STALE = 1 | 2 | 4; // marks of fleet_dashboard/picture.py: silent, tube old, server silent
+// Marks of fleet_dashboard/picture.py: silent, tube old, server silent; left its scenario, violates a requirement.
+export const STALE = 1 | 2 | 4;
+export const ASTRAY = 64 | 128;
 
 /** The frame in a buffer, or null if it has another layout than this file knows. */
 export function readFrame(buffer) {

@@ -1,5 +1,5 @@
 // What lies over the sets: grid, scale, regions, vehicles and their names, on a plain canvas.
-import { STALE } from "./frame.js";
+import { ASTRAY, STALE } from "./frame.js";
 
 const MOST_NAMES = 40;
 
@@ -74,15 +74,13 @@ function drawScale(context, view, theme) {
 function drawRegion(context, view, region, active, theme) {
   const points = region.segments;
   context.strokeStyle = active ? theme.active : theme.region;
-  context.lineWidth = active ? 2 : 1.25;
-  context.setLineDash(active ? [] : [6, 5]);
+  context.lineWidth = active ? 2.5 : 1.25;
   context.beginPath();
   for (let i = 0; i < points.length; i += 4) {
     context.moveTo(...view.toScreen(points[i], points[i + 1]));
     context.lineTo(...view.toScreen(points[i + 2], points[i + 3]));
   }
   context.stroke();
-  context.setLineDash([]);
   const [x, y] = view.toScreen(...region.at);
   context.fillStyle = active ? theme.active : theme.region;
   context.textAlign = "left";
@@ -95,29 +93,44 @@ function drawVehicles(context, view, { frame, ids, followed, hovered, colours, t
     return `rgb(${((code >> 8) & STALE ? colours[colours.length - 1] : colours[code & 255]).join(",")})`;
   };
   const size = frame.count > 300 ? 4 : 7;
+  const texts = [];
   for (let i = 0; i < frame.count; i++) {
     const [x, y] = view.toScreen(frame.origin[0] + frame.poses[3 * i], frame.origin[1] + frame.poses[3 * i + 1]);
     if (!(x > -20 && y > -20 && x < view.width + 20 && y < view.height + 20)) continue;
-    const label = frame.codes[i] & 255, stale = (frame.codes[i] >> 8) & STALE, id = ids[frame.rows[i]];
-    drawVehicle(context, x, y, frame.poses[3 * i + 2], size, rgb(i), label, stale, theme);
-    const marked = id === followed || id === hovered;
-    if (marked) {
-      context.strokeStyle = theme.text;
-      context.lineWidth = 1.5;
+    const label = frame.codes[i] & 255, marks = frame.codes[i] >> 8, id = ids[frame.rows[i]];
+    drawVehicle(context, x, y, frame.poses[3 * i + 2], size, rgb(i), label, marks & STALE, theme);
+    const chosen = id === followed || id === hovered;
+    if (chosen || marks & ASTRAY) {
+      context.strokeStyle = marks & ASTRAY ? theme.alarm : theme.text;
+      context.lineWidth = marks & ASTRAY ? 2.5 : 1.5;
       context.beginPath();
-      context.arc(x, y, size + 7, 0, 2 * Math.PI);
+      context.arc(x, y, size + 8, 0, 2 * Math.PI);
       context.stroke();
     }
-    if (id && (marked || (names && (frame.count <= MOST_NAMES || label === 3)))) {
-      const age = frame.figures[4 * i];
-      const text = stale && isFinite(age) ? `${id} · stale ${age.toFixed(0)} s` : id;
-      context.textAlign = "left";
-      context.lineWidth = 3;
-      context.strokeStyle = theme.halo;
-      context.strokeText(text, x + size + 5, y - size);
-      context.fillStyle = theme.text;
-      context.fillText(text, x + size + 5, y - size);
-    }
+    const urgent = chosen || marks & ASTRAY || label === 3;
+    if (!id || !(urgent || (names && frame.count <= MOST_NAMES))) continue;
+    const age = frame.figures[4 * i];
+    const why = marks & 64 ? " · left its scenario" : marks & 128 ? " · violates" : "";
+    const stale = marks & STALE && isFinite(age) ? ` · stale ${age.toFixed(0)} s` : "";
+    texts.push({ text: id + why + stale, x: x + size + (urgent ? 13 : 6), y: y - size, urgent });
+  }
+  drawNames(context, texts, theme);
+}
+
+/** Names, what is urgent first; one that would lie over another is left out. */
+function drawNames(context, texts, theme) {
+  const taken = [];
+  texts.sort((a, b) => Boolean(b.urgent) - Boolean(a.urgent));
+  context.textAlign = "left";
+  context.lineWidth = 3;
+  context.strokeStyle = theme.halo;
+  context.fillStyle = theme.text;
+  for (const { text, x, y } of texts) {
+    const right = x + context.measureText(text).width;
+    if (taken.some((box) => x < box.right && right > box.x && Math.abs(y - box.y) < 13)) continue;
+    taken.push({ x, right, y });
+    context.strokeText(text, x, y);
+    context.fillText(text, x, y);
   }
 }
 
