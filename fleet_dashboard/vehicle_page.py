@@ -35,7 +35,7 @@ class Facts:
             self._grid = (
                 ui.element("div")
                 .classes("w-full text-sm grid gap-x-4 gap-y-1")
-                .style("grid-template-columns: minmax(7rem, max-content) minmax(0, 1fr) minmax(0, 1fr)")
+                .style("grid-template-columns: repeat(3, minmax(0, 1fr))")
             )
         self._texts: list[ui.label] = []
 
