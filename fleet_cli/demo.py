@@ -2,6 +2,7 @@
 
 import threading
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,20 @@ UNWANTED = (
 class Demo:
     """One run of the demo; ``run`` returns its summary, ``draw`` pictures it afterwards.
 
-    The last ``stray`` of the vehicles take another route, which leaves the scenario.
+    The last ``stray`` of the vehicles take another route, which leaves the scenario. With a ``page_port`` the page is
+    served meanwhile, on that port or the next one that is free.
     """
 
     def __init__(
-        self, scenario: str, vehicles: int, duration: float, *, stray: int = 0, port: int = 0, seed: int = 1
+        self,
+        scenario: str,
+        vehicles: int,
+        duration: float,
+        *,
+        stray: int = 0,
+        port: int = 0,
+        seed: int = 1,
+        page_port: int | None = None,
     ) -> None:
         if scenario not in ROUTES:
             raise UsageError(f"--scenario {scenario!r}: choose one of {', '.join(ROUTES)}")
@@ -58,6 +68,7 @@ class Demo:
         self._stray = self._vehicles[vehicles - stray :]
         self._duration = duration
         self._port = port
+        self._page_port = page_port
         self._seed = seed
         # A scenario longer than the demo is played faster, so that all of it is seen.
         self._speed = max(1.0, self.scenario.end_ns / 1e9 / duration)
@@ -66,16 +77,31 @@ class Demo:
     def run(self, stop: threading.Event, *, live: bool, quiet: bool) -> dict[str, Any]:
         """Bring everything up, watch for the duration, end everything; the summary as a JSON document."""
         console = Console(quiet=quiet)
-        with Router([f"tcp/127.0.0.1:{self._port}"]) as router, Children() as children:
+        with Router([f"tcp/127.0.0.1:{self._port}"]) as router, Children() as children, Children() as page:
             endpoint = router.endpoints[0]
             say = console.print
             say(f"router on {endpoint}", highlight=False)
+            self._start_page(page, endpoint, stop, say)
             with Monitor([endpoint]) as monitor:
                 self._monitor = monitor
                 self._start(children, endpoint, stop, say)
                 self._watch(monitor, children, stop, console, live=live)
                 monitor.take_in()
         return self._summary(monitor)
+
+    def _start_page(self, page: Children, endpoint: str, stop: threading.Event, say: Any) -> None:
+        """Start the page, if it is asked for. The demo goes on without it."""
+        if self._page_port is None:
+            return
+        if find_spec("nicegui") is None:
+            say("no page: pip install 'fleet-reach[dashboard]'", highlight=False, markup=False)
+            return
+        options = ("--port", str(self._page_port), "--next-port", "--router", endpoint)
+        try:
+            line = page.start("page", "dashboard", *options).wait_for("page on", READY_SECONDS, stop)
+        except FleetError as error:
+            line = f"no page: {error}"
+        say(line, highlight=False, markup=False, soft_wrap=True)
 
     def _start(self, children: Children, endpoint: str, stop: threading.Event, say: Any) -> None:
         at = ("--router", endpoint)

@@ -1,9 +1,12 @@
 // The live map: takes frames from a socket of its own and draws them. What they mean is decided in Python.
-import { Camera, SetLayer, drawOverlay, readFrame } from "fleet-map";
+import { Camera, SetLayer, drawOverlay, listen, readFrame } from "fleet-map";
 
 const RETRY_MS = 1000;
 // Without a frame for so long the page itself is what is stale.
 const SILENT_MS = 3000;
+
+// Pixels to a metre at least, where one vehicle is followed.
+const CLOSE = 60;
 
 export default {
   template: `
@@ -19,12 +22,12 @@ export default {
     this.layer = new SetLayer(this.$refs.sets);
     this.overlay = this.$refs.overlay.getContext("2d");
     Object.assign(this, { ids: [], regions: [], active: new Set(), frame: null, hovered: null, fitted: false });
-    Object.assign(this, { followed: this.target || null, pointers: new Map(), lastFrame: performance.now() });
+    Object.assign(this, { followed: this.target || null, lastFrame: performance.now() });
     this.stats = { frames: 0, drawn: 0, since: performance.now() };
     window.fleetMap = this; // for tests, and for a look at its stats
     this.sizes = new ResizeObserver(() => this.resize());
     this.sizes.observe(this.$el);
-    this.listen();
+    listen(this.$el, this);
     this.connect();
     this.silence = setInterval(() => this.tellSilence(), 500);
   },
@@ -119,6 +122,7 @@ export default {
       // Regions without an end are drawn as far as a raster reaches: they do not make the view larger than the vehicles' surroundings.
       if (points.length < 200) for (const { segments: s } of this.regions) points.push([s[0], s[1]], [s.at(-2), s.at(-1)]);
       this.camera.fit(points);
+      if (this.followed) this.camera.scale = Math.max(this.camera.scale, CLOSE);
       this.fitted = true;
       this.changed();
     },
@@ -133,15 +137,9 @@ export default {
       }, 60);
     },
 
-    zoom(factor) {
-      this.moved = true;
-      this.camera.zoom(factor);
-      this.changed();
-    },
-
     follow(id) {
       this.followed = id;
-      if (id && this.camera.scale < 60) this.camera.scale = 60;
+      if (id) this.camera.scale = Math.max(this.camera.scale, CLOSE);
       this.followOn();
       this.changed();
     },
@@ -196,69 +194,29 @@ export default {
       });
     },
 
-    // Pointer and keys
+    // Pointer and keys: map/pointer.js calls these
 
-    listen() {
-      const on = (name, handle) => this.$el.addEventListener(name, handle, { passive: false });
-      const at = (event) => {
-        const { left, top } = this.$el.getBoundingClientRect();
-        return [event.clientX - left, event.clientY - top];
-      };
-      on("wheel", (event) => {
-        event.preventDefault();
-        this.moved = true;
-        this.camera.zoom(Math.exp(-0.0015 * event.deltaY), ...at(event));
-        this.changed();
-      });
-      on("pointerdown", (event) => {
-        this.$el.setPointerCapture(event.pointerId);
-        this.pointers.set(event.pointerId, at(event));
-        this.pressed = at(event);
-      });
-      on("pointermove", (event) => this.move(event, at(event)));
-      for (const name of ["pointerup", "pointercancel"]) {
-        on(name, (event) => {
-          this.pointers.delete(event.pointerId);
-          const [x, y] = at(event);
-          const still = this.pressed && Math.hypot(x - this.pressed[0], y - this.pressed[1]) < 5;
-          if (name === "pointerup" && still) this.$emit("pick", { id: this.nearest(x, y) });
-        });
-      }
-      on("pointerleave", () => { this.hovered = null; this.redraw(); });
-      on("keydown", (event) => {
-        const pans = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };
-        if (event.key === "+" || event.key === "-") this.zoom(event.key === "+" ? 1.3 : 1 / 1.3);
-        else if (event.key === "0") this.fit();
-        else if (pans[event.key]) this.drag(...pans[event.key]);
-        else return;
-        event.preventDefault();
-      });
+    zoom(factor, px, py) {
+      this.moved = true;
+      this.camera.zoom(factor, px, py);
+      this.changed();
     },
 
     drag(dx, dy) {
       this.moved = true;
-      if (this.followed) this.$emit("pick", { id: null });
+      if (this.followed) this.pick(null);
       this.followed = null;
       this.camera.pan(dx, dy);
       this.changed();
     },
 
-    move(event, [x, y]) {
-      const before = this.pointers.get(event.pointerId);
-      if (!before) {
-        this.hovered = this.nearest(x, y);
-        return this.redraw();
-      }
-      if (this.pointers.size === 2) {
-        const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
-        const apart = (point) => Math.max(10, Math.hypot(point[0] - other[0], point[1] - other[1]));
-        this.camera.zoom(apart([x, y]) / apart(before), (x + other[0]) / 2, (y + other[1]) / 2);
-        this.moved = true;
-        this.changed();
-      } else if (Math.hypot(x - this.pressed[0], y - this.pressed[1]) >= 5) {
-        this.drag(x - before[0], y - before[1]);
-      } else return; // a finger is never quite still
-      this.pointers.set(event.pointerId, [x, y]);
+    hover(id) {
+      this.hovered = id;
+      this.redraw();
+    },
+
+    pick(id) {
+      this.$emit("pick", { id });
     },
 
     nearest(x, y) {

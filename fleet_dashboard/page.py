@@ -1,6 +1,7 @@
 """The page of the fleet."""
 
 from collections import Counter
+from pathlib import Path
 from typing import Final
 
 from nicegui import events, ui
@@ -8,11 +9,11 @@ from nicegui import events, ui
 from fleet_dashboard.fleet_map import FleetMap
 from fleet_dashboard.gateway import Gateway
 from fleet_dashboard.labels import meaning_dialog
-from fleet_dashboard.picture import LABELS, Picture
+from fleet_dashboard.picture import LABELS, NO_TUBE, Picture
 from fleet_dashboard.playback import Playback
 from fleet_dashboard.plots import fleet_plots
 from fleet_dashboard.services_view import ServicesView
-from fleet_dashboard.theme import COLOURS, CSS
+from fleet_dashboard.theme import COLOURS
 from fleet_dashboard.timeline_view import EventList, TimelineView, clock
 from fleet_dashboard.vehicle_list import VehicleList
 from fleet_dashboard.view import Views
@@ -26,7 +27,7 @@ _MANY: Final = 300
 
 def frame(title: str) -> None:
     """What every page has: style, colours, title."""
-    ui.add_css(CSS)
+    ui.add_css(Path(__file__).with_name("style.css"))
     ui.colors(primary="#2f6fb0", positive="#1a7f62", negative="#b3380f")
     ui.page_title(title)
 
@@ -197,7 +198,9 @@ class FleetPage:
         for code, label in enumerate(LABELS):
             line, text = self._legend[label]
             text.set_text(f"{label} {counts[code]}")
-            line.set_visibility(counts[code] > 0 or code < 4)
+            line.set_visibility(counts[code] > 0 or code < NO_TUBE)
+            # A phone has no room for what there is none of.
+            line.classes(**{"remove" if counts[code] else "add": "fleet-wide"})
         self._stale.set_text(f"stale {stale}" if stale else "")
         self._cut.set_text(_cut_away(picture, self._informed))
         self._choice(picture)

@@ -16,16 +16,16 @@ from fleet_dashboard.theme import COLOURS
 
 #: Cells are text and never markup: ids, servers and reasons come from outside.
 _COLUMNS: Final[list[dict[str, Any]]] = [
-    {"field": "id", "headerName": "vehicle", "pinned": "left", "width": 104},
-    {"field": "label", "headerName": "label", "width": 112},
-    {"field": "why", "headerName": "note", "flex": 1, "minWidth": 130, "tooltipField": "why"},
-    {"field": "age", "headerName": "age s", "width": 78},
-    {"field": "area", "headerName": "area m²", "width": 92},
-    {"field": "cut", "headerName": "cut away %", "width": 104},
-    {"field": "coverage", "headerName": "coverage %", "width": 106},
-    {"field": "nominal", "headerName": "of nominal %", "width": 114},
-    {"field": "latency", "headerName": "latency ms", "width": 100},
-    {"field": "server", "headerName": "server", "width": 100},
+    {"field": "id", "headerName": "vehicle", "pinned": "left", "width": 92},
+    {"field": "label", "headerName": "label", "width": 102},
+    {"field": "age", "headerName": "age s", "width": 64},
+    {"field": "area", "headerName": "area m²", "width": 80},
+    {"field": "cut", "headerName": "cut %", "width": 70},
+    {"field": "coverage", "headerName": "coverage %", "width": 98},
+    {"field": "why", "headerName": "note", "flex": 1, "minWidth": 140, "tooltipField": "why"},
+    {"field": "nominal", "headerName": "nominal %", "width": 94},
+    {"field": "latency", "headerName": "latency ms", "width": 96},
+    {"field": "server", "headerName": "server", "width": 90},
 ]
 
 
@@ -83,7 +83,9 @@ class VehicleList:
     def __init__(self, gateway: Gateway, pick: Callable[[str], None]) -> None:
         self._gateway = gateway
         with ui.row().classes("w-full items-center no-wrap gap-2 q-pb-sm"):
-            search = ui.input(placeholder="search vehicle, label, server, note").props("dense outlined clearable")
+            search = ui.input(placeholder="search vehicle, label, server, note").props(
+                "dense outlined clearable hide-bottom-space"
+            )
             search.classes("grow").on_value_change(self._search)
             self._count = ui.label().classes("fleet-quiet text-xs whitespace-nowrap")
         by_label = {name: COLOURS[name] for name in LABELS}

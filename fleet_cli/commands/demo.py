@@ -15,7 +15,9 @@ def demo(
     vehicles: Annotated[int, typer.Option(help="Simulated vehicles.", min=1, max=200)] = 4,
     stray: Annotated[int, typer.Option(help="How many of them leave the scenario.", min=0)] = 0,
     duration: Annotated[float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0)] = 40.0,
-    headless: Annotated[bool, typer.Option(help="Print lines instead of a live table.")] = False,
+    headless: Annotated[bool, typer.Option(help="Print lines instead of a live table; no page.")] = False,
+    page: Annotated[bool, typer.Option(help="Serve the page meanwhile, and print its address.")] = True,
+    page_port: Annotated[int, typer.Option(help="Port of the page, or the next one that is free.")] = 8080,
     port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the first vehicle.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary here; '-' for stdout.")] = None,
@@ -29,7 +31,8 @@ def demo(
     check_writable("--picture", picture)
     stop = stop_on_signals()
     to_stdout = json_file is not None and str(json_file) == "-"
-    run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed)
+    served = page_port if page and not headless else None
+    run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed, page_port=served)
     summary = run.run(stop, live=not headless, quiet=to_stdout)
     if not to_stdout:
         print_summary(summary)

@@ -3,3 +3,4 @@ export { readFrame } from "./frame.js";
 export { SetLayer } from "./sets.js";
 export { drawOverlay } from "./overlay.js";
 export { Camera } from "./camera.js";
+export { listen } from "./pointer.js";
