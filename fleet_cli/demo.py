@@ -2,7 +2,6 @@
 
 import threading
 import time
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from rich.table import Table
 from fleet_bus.errors import FleetError, UsageError
 from fleet_bus.messages import EventKind
 from fleet_bus.router import Router
+from fleet_cli.demo_page import start_page
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
 from reach_server.side_information import first_contradiction
@@ -81,27 +81,14 @@ class Demo:
             endpoint = router.endpoints[0]
             say = console.print
             say(f"router on {endpoint}", highlight=False)
-            self._start_page(page, endpoint, stop, say)
+            if self._page_port is not None:
+                say(start_page(page, endpoint, self._page_port, stop), highlight=False, markup=False, soft_wrap=True)
             with Monitor([endpoint]) as monitor:
                 self._monitor = monitor
                 self._start(children, endpoint, stop, say)
                 self._watch(monitor, children, stop, console, live=live)
                 monitor.take_in()
         return self._summary(monitor)
-
-    def _start_page(self, page: Children, endpoint: str, stop: threading.Event, say: Any) -> None:
-        """Start the page, if it is asked for. The demo goes on without it."""
-        if self._page_port is None:
-            return
-        if find_spec("nicegui") is None:
-            say("no page: pip install 'fleet-reach[dashboard]'", highlight=False, markup=False)
-            return
-        options = ("--port", str(self._page_port), "--next-port", "--router", endpoint)
-        try:
-            line = page.start("page", "dashboard", *options).wait_for("page on", READY_SECONDS, stop)
-        except FleetError as error:
-            line = f"no page: {error}"
-        say(line, highlight=False, markup=False, soft_wrap=True)
 
     def _start(self, children: Children, endpoint: str, stop: threading.Event, say: Any) -> None:
         at = ("--router", endpoint)
