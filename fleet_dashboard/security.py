@@ -53,15 +53,10 @@ class Guard:
 
     def _refusal(self, scope: Scope, headers: Headers) -> str | None:
         """Why it may not pass; None if it may."""
-        host = headers.get("host", "")
-        # Beside sockets, NiceGUI opens long polls by the same rules.
-        if scope["type"] == "websocket" or scope["path"].rstrip("/").endswith("/socket.io"):
-            origin = headers.get("origin")
-            if origin is not None and urlsplit(origin).netloc != host:
-                return f"this socket was opened by a page of {origin:.100}"
+        if _foreign(scope, headers):
+            return "this socket was opened by a page of another site"
         if self._token is None:
-            name = urlsplit(f"//{host}").hostname or ""
-            if is_loopback(name):
+            if is_loopback(_name(headers.get("host", ""))):
                 return None
             return "this page is for this machine only: start it with --host and a token to look from elsewhere"
         if same(_cookie(headers), self._token):
@@ -71,7 +66,7 @@ class Guard:
     def _answer(self, refusal: str, scope: Scope, headers: Headers) -> ASGIApp:
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"), keep_blank_values=True)
         given = next((value for name, value in query if name == "token"), "")
-        if self._token is None or not same(given, self._token):
+        if self._token is None or _foreign(scope, headers) or not same(given, self._token):
             return PlainTextResponse(refusal + "\n", 403 if self._token is None else 401)
         # The token leaves the address bar, so that it does not stay in histories and pictures of the screen.
         rest = urlencode([(name, value) for name, value in query if name != "token"])
@@ -86,6 +81,21 @@ class Guard:
 def same(given: str, token: str) -> bool:
     """Whether two tokens are equal; how long that takes says nothing about where they differ."""
     return hmac.compare_digest(given.encode(), token.encode())
+
+
+def _foreign(scope: Scope, headers: Headers) -> bool:
+    """Whether a socket was opened by a page of another site; NiceGUI has long polls where sockets are not to be had."""
+    origin = headers.get("origin")
+    live = scope["type"] == "websocket" or scope["path"].rstrip("/").endswith("/socket.io")
+    return live and origin is not None and origin.partition("://")[2] != headers.get("host", "")
+
+
+def _name(host: str) -> str:
+    """The name in a header of a host; empty if there is none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
 
 
 def _cookie(headers: Headers) -> str:

@@ -33,12 +33,19 @@ class View:
     _active: str = ""
 
     def hear(self, text: str) -> None:
-        """Take in what the browser says: ``{"view": [x, y, x, y], "pixels": p}``. What cannot be is left alone."""
+        """Take in what the browser says: ``{"view": [x, y, x, y], "pixels": p}``, or null as its view if it has none
+        yet.
+
+        What cannot be is left alone.
+        """
         try:
             said = json.loads(text)
+            if said["view"] is None:
+                self.viewport = None
+                return
             x_low, y_low, x_high, y_high = (float(number) for number in said["view"])
             pixels = float(said["pixels"])
-        except (ValueError, TypeError, KeyError, OverflowError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return
         numbers = (x_low, y_low, x_high, y_high)
         near = all(math.isfinite(n) and abs(n) <= _FARTHEST for n in numbers)

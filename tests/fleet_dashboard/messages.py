@@ -13,6 +13,7 @@ from fleet_bus.messages import (
     Label,
     ReachTube,
     ServiceStatus,
+    StateFlag,
     StateSample,
     VehicleProfile,
     parse_profile,
@@ -31,6 +32,9 @@ def ring(radius: float, corners: int = 8) -> np.ndarray:
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
+AUDIT = Audit(100, 99, 0.1, 100, 99, 3)
+
+
 def tube(
     vehicle: str,
     *,
@@ -44,7 +48,7 @@ def tube(
     server: str = "reach-1",
     verdicts: Mapping[str, str] | None = None,
     cuts: Sequence[Cut] = (),
-    audit: Audit = Audit(100, 99, 0.1, 100, 99, 3),
+    audit: Audit = AUDIT,
     epoch: int = 1,
 ) -> ReachTube:
     """A tube of four states whose sets are rings that grow, side by side along x."""
@@ -69,7 +73,14 @@ def of_tube(message: ReachTube, arrived: int = T0) -> Received:
 
 
 def of_state(
-    vehicle: str, x: Sequence[float], *, seq: int = 0, t: int = T0, arrived: int = T0, epoch: int = 1, flags: int = 0
+    vehicle: str,
+    x: Sequence[float],
+    *,
+    seq: int = 0,
+    t: int = T0,
+    arrived: int = T0,
+    epoch: int = 1,
+    flags: StateFlag = StateFlag.NONE,
 ) -> Received:
     sample = StateSample(epoch=epoch, seq=seq, t=t, flags=flags, x=np.array(x, dtype=float), u=np.zeros(1))
     return Received(keys.state(vehicle), sample.encode(), STATE, None, arrived_ns=arrived)

@@ -9,7 +9,7 @@ import pytest
 
 from fleet_bus import keys
 from fleet_bus.bus import Handle
-from fleet_bus.messages import Assignment, Cut, Label, ScenarioDocument
+from fleet_bus.messages import Assignment, Cut, Label, ScenarioDocument, StateFlag
 from fleet_bus.pubsub import Received
 from fleet_dashboard import table
 from fleet_dashboard.gateway import Gateway
@@ -43,7 +43,9 @@ def fed(*messages: Received, now: int = T0) -> tuple[Gateway, Picture]:
 def test_a_vehicle_stands_where_its_sample_says_and_its_sets_where_the_tube_says() -> None:
     told = tube("a", at=(3.0, 4.0), seq=7)
     # The profile has the position behind the speed, unlike the tube.
-    gateway, picture = fed(of_profile("a"), of_state("a", [1.0, 2.5, 3.5, 0.25], seq=7), of_tube(told, T0 + SECOND // 50))
+    gateway, picture = fed(
+        of_profile("a"), of_state("a", [1.0, 2.5, 3.5, 0.25], seq=7), of_tube(told, T0 + SECOND // 50)
+    )
     assert picture.ids[0] == "a"
     assert picture.position[0].tolist() == [2.5, 3.5]
     assert picture.heading[0] == 0.25
@@ -86,7 +88,7 @@ def test_of_several_samples_in_one_tick_the_last_counts() -> None:
 
 
 def test_samples_of_the_history_move_nobody() -> None:
-    _, picture = fed(of_profile("a"), of_state("a", [0, 5, 5, 0], flags=8))
+    _, picture = fed(of_profile("a"), of_state("a", [0, 5, 5, 0], flags=StateFlag.HISTORY))
     assert Mark.NO_POSE in Mark(int(picture.marks[0]))
     assert picture.sampled.tolist() == [0]
 
@@ -183,7 +185,8 @@ def test_what_is_refused_is_counted_and_changes_nothing() -> None:
     bad = of_tube(tube("a", seq=1))
     for message in (
         replace(bad, payload=b"\x00"), replace(of_state("a", [9] * 4), encoding="text/plain"),
-        replace(bad, key="reach/a b/tube"), replace(of_status(), payload=b"\x80"), replace(of_state("a", [9] * 4), key="x"),
+        replace(bad, key="reach/a b/tube"), replace(of_status(), payload=b"\x80"),
+        replace(of_state("a", [9] * 4), key="x"),
         replace(of_profile("a"), encoding="application/msgpack;fleet.profile.v9"),
         replace(of_event(contradiction("a")), payload=b""),
     ):  # fmt: skip

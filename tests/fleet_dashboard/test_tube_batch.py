@@ -117,6 +117,7 @@ def test_another_form_of_msgpack_is_read_all_the_same() -> None:
     assert [batch.vehicles for batch in batches] == [["a"]]
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=200), st.integers(0, 200))
 def test_no_bytes_make_it_fail(raw: bytes, place: int) -> None:
     payload = GOOD.payload[:place] + raw + GOOD.payload[place + len(raw) :]
