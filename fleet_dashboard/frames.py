@@ -86,7 +86,7 @@ def encode(
         chosen.astype("<u4"), pose, figures, code,
         owner.astype("<u4"), (step + 1).astype("<u4") | steps << 16, corners,
     )  # fmt: skip
-    return header + b"".join(part.tobytes() for part in parts)
+    return b"".join((header, *(np.ascontiguousarray(part).data for part in parts)))
 
 
 def _corners(view: Viewport) -> tuple[float, float, float, float]:

@@ -2,7 +2,7 @@
 
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Final, Self
 
@@ -58,6 +58,7 @@ class Gateway:
         self.newest_tube: dict[str, Received] = {}
         #: Scenario and predicate that cut the newest tube of each vehicle, with the first and last step.
         self.cuts: dict[str, list[tuple[str, str, int, int]]] = {}
+        self._verdicts: dict[str, Mapping[str, str]] = {}
         self.picture: Picture = nothing()
         self.connected: Callable[[], bool] = lambda: True
         self._number = 0
@@ -220,6 +221,7 @@ class Gateway:
 
     def _tube_messages(self, messages: Sequence[Received]) -> None:
         batches, refused = decode_tubes(messages)
+        servers: dict[str, int] = {}
         for index, error in refused:
             self.rejections.count(error, messages[index].key)
         for batch in batches:
@@ -228,10 +230,15 @@ class Gateway:
                 fields, vehicle, message = batch.fields[i], batch.vehicles[i], messages[int(batch.index[i])]
                 self.newest_tube[vehicle] = message
                 self.cuts[vehicle] = fields["k"]
-                self.services.heard(fields["sv"], message.arrived_ns)
-                t = min(int(batch.t[i]), message.arrived_ns)
-                if self.obligations.verdicts(vehicle, fields["vd"], t):
-                    self._astray(vehicle)
+                servers[fields["sv"]] = message.arrived_ns
+                # Verdicts seldom change, and tubes come often.
+                if fields["vd"] != self._verdicts.get(vehicle):
+                    self._verdicts[vehicle] = fields["vd"]
+                    t = min(int(batch.t[i]), message.arrived_ns)
+                    if self.obligations.verdicts(vehicle, fields["vd"], t):
+                        self._astray(vehicle)
+        for server, arrived in servers.items():
+            self.services.heard(server, arrived)
 
     # What several parts of the page ask
 

@@ -53,6 +53,7 @@ class VehicleTable:
         self.ids: list[str] = []
         #: Names of servers; a row's ``server`` is a place in it, 0 for none.
         self.servers: list[str] = [""]
+        self._servers: dict[str, int] = {"": 0}
         self._rows: dict[str, int] = {}
         self._steps, self._corners = 1, 4
         self._data = _columns(16, self._steps, self._corners)
@@ -144,8 +145,12 @@ class VehicleTable:
         data["center"][rows, :steps] = batch.center[chosen]
         data["outline"][rows, :steps, :corners] = batch.outline[chosen]
         data["outline"][rows, :steps, corners:] = batch.outline[chosen][:, :, -1:]
-        vertices = batch.center[chosen][:, :, None] + batch.outline[chosen]
-        data["low"][rows], data["high"][rows] = vertices.min(axis=(1, 2)), vertices.max(axis=(1, 2))
+        for axis in (0, 1):
+            # One coordinate after the other: numpy is slow where the innermost axis is short.
+            vertices = (batch.center[chosen, :, axis, None] + batch.outline[chosen, :, :, axis]).reshape(
+                len(chosen), -1
+            )
+            data["low"][rows, axis], data["high"][rows, axis] = vertices.min(axis=1), vertices.max(axis=1)
         recent = batch.audit[chosen, 3]
         with np.errstate(invalid="ignore", divide="ignore"):
             data["coverage"][rows] = np.where(recent > 0, batch.audit[chosen, 4] / recent, np.nan)
@@ -156,12 +161,14 @@ class VehicleTable:
         return np.asarray(newer)
 
     def _server(self, name: str) -> int:
-        if name not in self.servers:
+        place = self._servers.get(name)
+        if place is None:
             # Who invents names of servers is shown as one without a name.
             if len(self.servers) > 1000:
                 return 0
+            place = self._servers[name] = len(self.servers)
             self.servers.append(name)
-        return self.servers.index(name)
+        return place
 
     def picture(self, number: int, t: int, silent_servers: Sequence[str] = ()) -> Picture:
         """What is true at ``t`` (ns), where some servers are silent."""
@@ -175,7 +182,7 @@ class VehicleTable:
         sampled, tubed = shown["sampled"], shown["tubed"]
         marks[(sampled > 0) & (t - sampled > _SILENT_NS)] |= np.uint8(Mark.SILENT)
         marks[(tubed > 0) & (t - tubed > _SILENT_NS)] |= np.uint8(Mark.TUBE_OLD)
-        silent = [self.servers.index(name) for name in silent_servers if name in self.servers]
+        silent = [self._servers[name] for name in silent_servers if name in self._servers]
         marks[np.isin(shown["server"], silent) & (tubed > 0)] |= np.uint8(Mark.SERVER_SILENT)
         marks[~self._data["profiled"][:count]] |= np.uint8(Mark.NO_PROFILE)
         with np.errstate(over="ignore", invalid="ignore"):

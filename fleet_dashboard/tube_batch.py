@@ -24,7 +24,6 @@ from fleet_dashboard.picture import LABELS, Floats, Ints
 _KEYS: Final = frozenset(field.key for field in FIELDS.fields)
 #: How a map with as many entries as a tube has begins; with as many different keys none is repeated.
 _HEAD: Final = bytes((0xDE, 0, len(_KEYS)))
-_BINS: Final = ("T", "c", "o", "a", "af")
 _CODES: Final = {name: code for code, name in enumerate(LABELS[: len(Label)])}
 
 #: Corners up to which an outline is drawn as it is, steps up to which each is; beyond, what contains them, and every so
@@ -98,17 +97,23 @@ def _unpacked(message: Received) -> dict[str, Any] | None:
 
 def _layout(fields: Mapping[str, Any]) -> tuple[int, ...] | None:
     """Steps, states, corners, and which states are the position; None if the form is in doubt."""
+    # Written out, since it is done for each tube that comes.
+    times, center, outline, area, free = fields["T"], fields["c"], fields["o"], fields["a"], fields["af"]
     names, position = fields["x"], fields["p"]
-    if not all(type(fields[key]) is bytes for key in _BINS) or type(names) is not list or type(position) is not list:
+    if not type(times) is type(center) is type(outline) is type(area) is type(free) is bytes:
         return None
-    steps, states = len(fields["T"]) // 8, len(names)
-    if not steps or not states or len(position) != 2 or not all(type(i) is int and 0 <= i < states for i in position):
+    if not type(names) is type(position) is list or len(position) != 2:
         return None
-    corners = len(fields["o"]) // (8 * steps)
-    wanted = 8 * steps, 8 * steps * states, 8 * steps * corners, 8 * steps, 8 * steps
-    if not corners or tuple(len(fields[key]) for key in _BINS) != wanted:
+    first, second = position
+    size, states = len(times), len(names)
+    if not type(first) is type(second) is int or not (0 <= first < states and 0 <= second < states) or not size:
         return None
-    return steps, states, corners, position[0], position[1]
+    corners = len(outline) // size
+    if size % 8 or len(area) != size or len(free) != size or len(center) != size * states:
+        return None
+    if not corners or len(outline) != size * corners:
+        return None
+    return size // 8, states, corners, first, second
 
 
 def _batch(layout: tuple[int, ...], members: list[tuple[int, dict[str, Any]]]) -> TubeBatch | None:
