@@ -147,9 +147,8 @@ class VehicleTable:
         data["outline"][rows, :steps, corners:] = batch.outline[chosen][:, :, -1:]
         for axis in (0, 1):
             # One coordinate after the other: numpy is slow where the innermost axis is short.
-            vertices = (batch.center[chosen, :, axis, None] + batch.outline[chosen, :, :, axis]).reshape(
-                len(chosen), -1
-            )
+            vertices = batch.center[chosen, :, axis, None] + batch.outline[chosen, :, :, axis]
+            vertices = vertices.reshape(len(chosen), steps * corners)
             data["low"][rows, axis], data["high"][rows, axis] = vertices.min(axis=1), vertices.max(axis=1)
         recent = batch.audit[chosen, 3]
         with np.errstate(invalid="ignore", divide="ignore"):
