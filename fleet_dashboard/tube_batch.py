@@ -26,6 +26,9 @@ _KEYS: Final = frozenset(field.key for field in FIELDS.fields)
 _HEAD: Final = bytes((0xDE, 0, len(_KEYS)))
 _CODES: Final = {name: code for code, name in enumerate(LABELS[: len(Label)])}
 
+#: The greatest numbers of an audit.
+_AUDIT: Final = np.array([*[ranges.COUNTER.high] * 2, ranges.MISS.high, *[ranges.COUNTER.high] * 3])
+
 #: Corners up to which an outline is drawn as it is, steps up to which each is; beyond, what contains them, and every so
 #: manieth: what one vehicle sends must not make the arrays of all large.
 MOST_CORNERS: Final = 64
@@ -130,11 +133,7 @@ def _batch(layout: tuple[int, ...], members: list[tuple[int, dict[str, Any]]]) -
         audit = np.array([each["au"] for each in fields], dtype=np.float64).reshape(count, 6)
         compute = np.array([each["ct"] for each in fields], dtype=np.float64).reshape(count)
         label = np.array([_CODES[each["l"]] for each in fields], dtype=np.uint8)
-        texts = all(
-            type(each["v"]) is str and type(each["sv"]) is str and type(each["vd"]) is dict
-            and type(each["k"]) is list and type(each["n"]) is list
-            for each in fields
-        )  # fmt: skip
+        texts = all(map(_sound_texts, fields))
     except (ValueError, TypeError, OverflowError, KeyError):
         return None
     sound = (
@@ -147,6 +146,7 @@ def _batch(layout: tuple[int, ...], members: list[tuple[int, dict[str, Any]]]) -
         and (numbers <= (ranges.EPOCH.high, ranges.SEQ.high, ranges.TIME.high)).all()
         and np.isfinite(audit).all()
         and (audit >= 0).all()
+        and (audit <= _AUDIT).all()
         and (audit[:, 1] <= audit[:, 0]).all()
         and (audit[:, 4] <= audit[:, 3]).all()
         and ranges.DURATION.holds(compute)
@@ -159,6 +159,18 @@ def _batch(layout: tuple[int, ...], members: list[tuple[int, dict[str, Any]]]) -
         np.array([index for index, _ in members]), [each["v"] for each in fields], epoch, seq, t, center, outline,
         area[:, -1], free[:, -1], label, audit, compute, list(fields),
     )  # fmt: skip
+
+
+def _sound_texts(fields: Mapping[str, Any]) -> bool:
+    """Whether what is not a number has its form; numbers of steps are not looked at."""
+    return (
+        type(fields["v"]) is type(fields["sv"]) is str
+        and type(fields["k"]) is type(fields["n"]) is list
+        and type(fields["vd"]) is dict
+        and all(type(cut) is list and len(cut) == 4 and type(cut[0]) is type(cut[1]) is str for cut in fields["k"])
+        and all(type(note) is str for note in fields["n"])
+        and all(type(name) is type(verdict) is str for name, verdict in fields["vd"].items())
+    )
 
 
 def _joined(fields: list[dict[str, Any]], key: str, dtype: str) -> NDArray[Any]:

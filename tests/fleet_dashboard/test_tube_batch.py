@@ -83,6 +83,13 @@ STEPS, STATES, CORNERS = 3, 4, 8
         (changed(GOOD, s=-1), "range"),
         (changed(GOOD, t=0), "range"),
         (changed(GOOD, vd=["lot"]), "fields"),
+        (changed(GOOD, vd={"lot.r": 1}), None),
+        (changed(GOOD, k=[1]), None),
+        (changed(GOOD, k=[["lot", "P", 1]]), None),
+        (changed(GOOD, k=[["lot", {}, 1, 2]]), None),
+        (changed(GOOD, n=[1]), None),
+        (changed(GOOD, sv=1), "fields"),
+        (changed(GOOD, au=[2**63, 1, 0.0, 1, 1, 1]), "range"),
         (changed(GOOD, extra=1), "fields"),
     ],
 )
