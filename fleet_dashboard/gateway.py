@@ -22,7 +22,7 @@ from fleet_dashboard.picture import ASTRAY, Mark, Picture, nothing
 from fleet_dashboard.regions import Regions, RegionStore
 from fleet_dashboard.services import Services
 from fleet_dashboard.table import VehicleTable, arrivals
-from fleet_dashboard.timeline import EventLog, Obligations
+from fleet_dashboard.timeline import ASSUMED, EventLog, Obligations
 from fleet_dashboard.tube_batch import decode_tubes
 
 _log = structlog.get_logger(__name__)
@@ -132,14 +132,15 @@ class Gateway:
         with self._lock:
             waiting, self._waiting = self._waiting, deque()
             tubes, self._tubes = self._tubes, {}
-        while self._tokens:
-            self.services.token(*self._tokens.popleft())
         states = [message for message in waiting if message.key.endswith("/state")]
         for message in waiting:
             if not message.key.endswith("/state"):
                 self._checked(message, self._rare)
         self._states(states)
         self._tube_messages(list(tubes.values()))
+        # After the messages: the last status of a service that is gone came before its token went.
+        while self._tokens:
+            self.services.token(*self._tokens.popleft())
         self._number += 1
         self.picture = self.table.picture(self._number, now, self.services.silent_servers(now))
         self.history.add(self.picture)
@@ -194,7 +195,7 @@ class Gateway:
     def _astray(self, vehicle: str) -> None:
         marks = Mark(0)
         for broken in self.obligations.contradicted(vehicle):
-            marks |= Mark.LEFT if broken.obligation.endswith(".assume") else Mark.VIOLATES
+            marks |= Mark.LEFT if broken.obligation.endswith(ASSUMED) else Mark.VIOLATES
         if marks or self.table.find(vehicle) is not None:
             self.table.astray(vehicle, marks)
 
@@ -261,10 +262,8 @@ class Gateway:
         rows = np.flatnonzero((picture.marks & int(ASTRAY)) != 0).tolist()
         said = []
         for row in rows[:most]:
-            vehicle = picture.ids[row]
-            words = Mark(int(picture.marks[row])) & ASTRAY
-            why = next((broken.verdict for broken in self.obligations.contradicted(vehicle)), "")
-            said.append(f"{vehicle} {words.words}" + (f": {why}" if why else ""))
+            broken = self.obligations.contradicted(picture.ids[row])
+            said.append(f"{picture.ids[row]} " + "; ".join(each.words for each in broken))
         return said + ([f"and {len(rows) - most} more vehicles"] if len(rows) > most else [])
 
     def problems(self) -> list[str]:

@@ -93,7 +93,9 @@ class FleetPage:
                     ("remove", "zoom out", lambda: self.map.zoom(1 / 1.5)),
                     ("fit_screen", "see everything", self._fit),
                 ):
-                    with ui.button(icon=icon, on_click=act).props("dense size=sm color=blue-grey-8"):
+                    with ui.button(icon=icon, on_click=act).props(
+                        f"dense size=sm color=blue-grey-8 aria-label='{told}'"
+                    ):
                         ui.tooltip(told).props("anchor='center left' self='center right'")
                 self._switch("route", "side information: regions, and what it cuts away", True, self._inform)
                 self._switch("hexagon", "sets", True, self._sets)

@@ -27,6 +27,10 @@ ALARMS: Final = frozenset(
 )  # fmt: skip
 
 
+#: How the side information of a scenario ends among its obligations; requirements are called otherwise.
+ASSUMED: Final = ".assume"
+
+
 class Fate(StrEnum):
     """What has become of an obligation."""
 
@@ -51,6 +55,13 @@ class Transition:
     fate: Fate
     verdict: str
 
+    @property
+    def words(self) -> str:
+        """What a contradicted one means, for a person."""
+        if self.obligation.endswith(ASSUMED):
+            return f"left its scenario: {self.verdict}"
+        return f"violates {self.obligation}"
+
 
 class Obligations:
     """Requirements, and the side information itself (``<scenario>.assume``), of all vehicles through time."""
@@ -69,15 +80,15 @@ class Obligations:
     def assigned(self, vehicle: str, scenario: str, active: bool, t: int) -> None:
         """A vehicle takes part in a scenario from ``t`` (ns) on, or no longer. What is said again of a scenario that it
         has left since does not bring it back."""
-        before = self._of.get(vehicle, {}).get(f"{scenario}.assume")
+        before = self._of.get(vehicle, {}).get(scenario + ASSUMED)
         if active and (before is None or before.t < t):
-            self._tell(vehicle, f"{scenario}.assume", Fate.PENDING, "holds so far", t)
+            self._tell(vehicle, scenario + ASSUMED, Fate.PENDING, "holds so far", t)
 
     def event(self, event: Event, arrived: int) -> None:
         """Of events, a contradiction ends the side information; it ``arrived`` at some time (ns)."""
         if event.kind is EventKind.CONTRADICTION and event.vehicle is not None:
             scenario = str(event.details.get("scenario", "scenario"))[:64]
-            self._tell(event.vehicle, f"{scenario}.assume", Fate.CONTRADICTED, event.message, min(event.t, arrived))
+            self._tell(event.vehicle, scenario + ASSUMED, Fate.CONTRADICTED, event.message, min(event.t, arrived))
 
     def _tell(self, vehicle: str, obligation: str, what: Fate, verdict: str, t: int) -> bool:
         known = self._of.setdefault(vehicle, {})
@@ -95,7 +106,7 @@ class Obligations:
     def contradicted(self, vehicle: str) -> list[Transition]:
         """Obligations of a vehicle that are contradicted now, side information first."""
         found = [now for now in self._of.get(vehicle, {}).values() if now.fate is Fate.CONTRADICTED]
-        return sorted(found, key=lambda now: not now.obligation.endswith(".assume"))
+        return sorted(found, key=lambda now: not now.obligation.endswith(ASSUMED))
 
     def until(self, t: int) -> dict[tuple[str, str], list[Transition]]:
         """Transitions not after ``t`` (ns) by vehicle and obligation, in order."""

@@ -47,10 +47,9 @@ def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
         picture.ids, picture.label.tolist(), picture.marks.tolist(), picture.server.tolist(), figures, strict=False
     ):
         parts = [waiting.get(id_, "")] if label == NO_TUBE else []
-        if marks:
-            parts.append(Mark(marks).words)
         if marks & ASTRAY:
-            parts += [broken.verdict for broken in gateway.obligations.contradicted(id_)]
+            parts += [broken.words for broken in gateway.obligations.contradicted(id_)]
+        parts.append((Mark(marks) & ~ASTRAY).words)
         why = "; ".join(filter(None, parts))
         found.append(
             {

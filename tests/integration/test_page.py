@@ -40,11 +40,12 @@ WAIT_MS = 1000 * DEADLINE
 class Fleet:
     """Vehicles and a server as the bus knows them, put ten times a second until closed."""
 
-    def __init__(self, router: str, vehicles: int, *, server: str = "reach-1") -> None:
+    def __init__(self, router: str, vehicles: int, *, named: str = "reach-1") -> None:
         self._open = ExitStack()
         self.bus = self._open.enter_context(ZenohBus(open_session(Role.SERVICE, [router])))
         self.names = [f"v{k}" for k in range(vehicles)]
-        self.server = server
+        #: What tubes say of their server, which is any text.
+        self.named = named
         self.told: dict[str, ReachTube] = {}
         self.moving = threading.Event()
         self.cuts: tuple[Cut, ...] = ()
@@ -60,9 +61,9 @@ class Fleet:
         self._events = {
             name: self._open.enter_context(put(keys.event(name), Event.encoding(), cache=8)) for name in self.names
         }
-        status = keys.service_status("reach", server)
+        status = keys.service_status("reach", "reach-1")
         self._status = self._open.enter_context(put(status, ServiceStatus.encoding(), cache=1))
-        self.alive = self._open.enter_context(self.bus.alive(keys.service("reach", server)))
+        self.alive = self._open.enter_context(self.bus.alive(keys.service("reach", "reach-1")))
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -82,12 +83,12 @@ class Fleet:
         for k, name in enumerate(self.names):
             x, y = self.place(k)
             self.told[name] = tube(
-                name, at=(x, y), seq=self._seq, t=now, server=self.server, cuts=self.cuts, radius=0.6
+                name, at=(x, y), seq=self._seq, t=now, server=self.named, cuts=self.cuts, radius=0.6
             )
             sample = StateSample(epoch=1, seq=self._seq, t=now, x=np.array([0.5, x, y, 0.7]), u=np.zeros(1))
             self._states[name].put(sample.encode())
             self._tubes[name].put(self.told[name].encode())
-        status = ServiceStatus(kind="reach", instance=self.server, t=now, started=now)
+        status = ServiceStatus(kind="reach", instance="reach-1", t=now, started=now)
         self._status.put(status.encode())
 
     def event(self, event: Event) -> None:
@@ -206,6 +207,7 @@ def test_a_polygon_is_drawn_where_the_message_says(page: Page, fleet: Fleet, rou
 def test_vehicles_move_and_one_can_be_followed(page: Page, fleet: Fleet, router: Router, start: Start) -> None:
     _, url = opened(start, router)
     show(page, url)
+    page.evaluate("fleetMap.zoom(0.1)")
     before = page.evaluate("fleetMap.place(0)")
     fleet.moving.set()
     page.wait_for_function(f"fleetMap.place(0)[0] > {before[0] + 0.5}")
@@ -293,6 +295,8 @@ def test_a_contradiction_is_told_and_appears_in_the_timeline(
 def test_pause_and_go_back_and_live_again(page: Page, fleet: Fleet, router: Router, start: Start) -> None:
     _, url = opened(start, router)
     show(page, url)
+    # From far, so that it does not leave the view.
+    page.evaluate("fleetMap.zoom(0.1)")
     page.wait_for_function("fleetMap.frame.count == 1")
     first = page.evaluate("fleetMap.frame.time")
     fleet.moving.set()
@@ -310,7 +314,7 @@ def test_pause_and_go_back_and_live_again(page: Page, fleet: Fleet, router: Rout
 
 
 def test_two_hundred_vehicles_are_listed_searched_and_drawn(page: Page, router: Router, start: Start) -> None:
-    fleet = Fleet(router.endpoints[0], 200, server='<img src=x onerror="window.hacked=1">')
+    fleet = Fleet(router.endpoints[0], 200, named='<img src=x onerror="window.hacked=1">')
     try:
         _, url = opened(start, router)
         show(page, url, "fleetMap.frame.count == 200 && fleetMap.ids.length == 200")
