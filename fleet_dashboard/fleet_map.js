@@ -107,6 +107,7 @@ export default {
       Object.assign(this.camera, { width, height });
       Object.assign(this.$refs.overlay, { width: width * this.ratio, height: height * this.ratio });
       this.layer.resize(width, height, this.ratio);
+      this.draw(); // at once: a canvas of another size is blank
       this.changed();
     },
 
@@ -181,17 +182,18 @@ export default {
     },
 
     redraw() {
-      if (this.pending) return;
-      this.pending = requestAnimationFrame(() => {
-        this.pending = null;
-        if (this.gone || !this.ratio) return;
-        this.layer.draw(this.camera);
-        const shown = { frame: this.frame, ids: this.ids, active: this.active, followed: this.followed };
-        Object.assign(shown, { hovered: this.hovered, colours: this.colours(), theme: this.theme(), names: this.names });
-        drawOverlay(this.overlay, this.camera, this.ratio, { ...shown, regions: this.info ? this.regions : [] });
-        this.showCard();
-        this.stats.drawn++;
-      });
+      this.pending ??= requestAnimationFrame(() => this.draw());
+    },
+
+    draw() {
+      this.pending = null;
+      if (this.gone || !this.ratio) return;
+      this.layer.draw(this.camera);
+      const shown = { frame: this.frame, ids: this.ids, active: this.active, followed: this.followed };
+      Object.assign(shown, { hovered: this.hovered, colours: this.colours(), theme: this.theme(), names: this.names });
+      drawOverlay(this.overlay, this.camera, this.ratio, { ...shown, regions: this.info ? this.regions : [] });
+      this.showCard();
+      this.stats.drawn++;
     },
 
     // Pointer and keys: map/pointer.js calls these

@@ -31,7 +31,7 @@ from fleet_cli.main import app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-PACKAGES = ("fleet_bus", "fleet_cli", "fleet_lab", "reach_server", "side_info", "vehicle_agent")
+PACKAGES = ("fleet_bus", "fleet_cli", "fleet_dashboard", "fleet_lab", "reach_server", "side_info", "vehicle_agent")
 PAGES = sorted(DOCS.rglob("*.md"))
 KEY = re.compile(r"(?<![\w.])([A-Z][A-Za-z]*\+?\d\d)(?!\w)")
 REFERENCE = re.compile(r"^\d+\. \*\*\[([^\]]+)\]\*\*", re.M)
