@@ -4,6 +4,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Final, Self
 
 import numpy as np
@@ -18,7 +19,7 @@ from fleet_bus.messages.state import decode_states
 from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from fleet_dashboard.history import History, Series
-from fleet_dashboard.picture import ASTRAY, Mark, Picture, nothing
+from fleet_dashboard.picture import Mark, Picture, nothing
 from fleet_dashboard.regions import Regions, RegionStore
 from fleet_dashboard.services import Services
 from fleet_dashboard.table import VehicleTable, arrivals
@@ -31,6 +32,8 @@ _log = structlog.get_logger(__name__)
 TICK: Final = 0.1
 #: Messages that wait for the next tick; a tube waits in the place of the one before it.
 _MOST_WAITING: Final = 50_000
+#: Later than all times, ns.
+_EVER: Final = 2**63 - 1
 
 #: Subscribes to what is put from now on.
 Subscribe = Callable[[str, Callable[[Received], None]], Handle]
@@ -40,7 +43,12 @@ class Gateway:
     """What the page knows. ``feed`` may be called from any thread; ``tick`` from one at a time."""
 
     def __init__(
-        self, clock: Clock = SYSTEM, *, draw: Callable[[str], Regions] | None = None, history: History | None = None
+        self,
+        clock: Clock = SYSTEM,
+        *,
+        draw: Callable[[str], Regions] | None = None,
+        history: History | None = None,
+        series: Series | None = None,
     ) -> None:
         self.clock = clock
         self.rejections = Rejections()
@@ -49,7 +57,7 @@ class Gateway:
         self.events = EventLog()
         self.obligations = Obligations()
         self.history = History() if history is None else history
-        self.series = Series()
+        self.series = Series() if series is None else series
         self.regions = RegionStore(draw)
         self.profiles: dict[str, VehicleProfile] = {}
         #: By vehicle and scenario.
@@ -68,8 +76,9 @@ class Gateway:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         self._rated = 0
-        self._failed = ""
-        self._acting: set[tuple[str, str]] = set()
+        #: Why ticks fail, empty while they do not.
+        self.failed = ""
+        self._acting: frozenset[tuple[str, str]] = frozenset()
         self._acting_at = 0
         self._open = ExitStack()
 
@@ -119,13 +128,13 @@ class Gateway:
         while not self.clock.wait(stop, TICK):
             try:
                 self.tick(self.clock.time_ns())
-                self._failed = ""
+                self.failed = ""
             except Exception as error:
                 # The next tick may do better. What is shown stands still until then, which clients are told.
                 what = f"{type(error).__name__}: {error}"
-                if what != self._failed:
+                if what != self.failed:
                     _log.error("a tick of the page failed", error=what[:500])
-                self._failed = what
+                self.failed = what
 
     def tick(self, now: int) -> Picture:
         """Look at what has come, and make the picture of ``now`` (ns)."""
@@ -142,7 +151,8 @@ class Gateway:
         while self._tokens:
             self.services.token(*self._tokens.popleft())
         self._number += 1
-        self.picture = self.table.picture(self._number, now, self.services.silent_servers(now))
+        picture = self.table.picture(self._number, now, self.services.silent_servers(now))
+        self.picture = replace(picture, acting=self._acting_in(picture))
         self.history.add(self.picture)
         self._rates(now)
         return self.picture
@@ -155,6 +165,19 @@ class Gateway:
         if self._rated and seconds > 0:
             self.series.add(self.picture, counts["samples"] / seconds, counts["tubes"] / seconds)
         self._rated = now
+
+    def _acting_in(self, picture: Picture) -> frozenset[tuple[str, str]]:
+        if 0 <= picture.t - self._acting_at < 1_000_000_000:
+            return self._acting
+        self._acting_at = picture.t
+        fresh = {picture.ids[row] for row in np.flatnonzero(~picture.stale()).tolist()}
+        self._acting = frozenset(
+            (scenario, predicate)
+            for vehicle, cuts in self.cuts.items()
+            if vehicle in fresh
+            for scenario, predicate, *_ in cuts
+        )
+        return self._acting
 
     def _checked(self, message: Received, handle: Callable[[Received], None]) -> None:
         try:
@@ -189,12 +212,15 @@ class Gateway:
                 t = min(assignment.time_zero, message.arrived_ns)
                 self.obligations.assigned(vehicle, scenario, assignment.active, t)
                 self._astray(vehicle)
+            case ["fleet", _, "truth"]:
+                # What only a simulator knows is in recordings, too.
+                pass
             case _:
                 raise MessageError("key", f"nothing is read from {message.key:.120}")
 
     def _astray(self, vehicle: str) -> None:
         marks = Mark(0)
-        for broken in self.obligations.contradicted(vehicle):
+        for broken in self.obligations.contradicted(vehicle, _EVER):
             marks |= Mark.LEFT if broken.obligation.endswith(ASSUMED) else Mark.VIOLATES
         if marks or self.table.find(vehicle) is not None:
             self.table.astray(vehicle, marks)
@@ -240,37 +266,3 @@ class Gateway:
                         self._astray(vehicle)
         for server, arrived in servers.items():
             self.services.heard(server, arrived)
-
-    # What several parts of the page ask
-
-    def acting(self) -> set[tuple[str, str]]:
-        """Scenario and predicate that cut a tube which is not stale; worked out anew once a second."""
-        if self.picture.t - self._acting_at >= 1_000_000_000 or self.picture.t < self._acting_at:
-            self._acting_at = self.picture.t
-            stale = self.picture.stale()
-            fresh = {self.picture.ids[row] for row in np.flatnonzero(~stale).tolist()}
-            self._acting = {
-                (str(scenario), str(predicate))
-                for vehicle, cuts in list(self.cuts.items())
-                if vehicle in fresh
-                for scenario, predicate, *_ in cuts
-            }
-        return self._acting
-
-    def alarms(self, picture: Picture, most: int = 3) -> list[str]:
-        """Of the vehicles that do what they should not in a picture, the first ``most`` with why, and how many more."""
-        rows = np.flatnonzero((picture.marks & int(ASTRAY)) != 0).tolist()
-        said = []
-        for row in rows[:most]:
-            broken = self.obligations.contradicted(picture.ids[row])
-            said.append(f"{picture.ids[row]} " + "; ".join(each.words for each in broken))
-        return said + ([f"and {len(rows) - most} more vehicles"] if len(rows) > most else [])
-
-    def problems(self) -> list[str]:
-        """What is wrong as a whole, in sentences."""
-        t = self.picture.t
-        said = [] if self.connected() else ["not connected to a router: what is shown is not renewed"]
-        if self._failed:
-            said.append(f"the page itself failed, and stands still: {self._failed:.200}")
-        asked = {self.table.servers[i] for i in np.unique(self.picture.server[self.picture.tubed > 0]).tolist()}
-        return said + self.services.problems(t, asked)

@@ -107,12 +107,11 @@ class Series:
         order = self._order()
         return self._times[order], self._fleet[order]
 
-    def newest(self) -> dict[str, float]:
-        """The newest figures of the fleet by name; zeros before the first."""
-        slot = (self._count - 1) % self._length
-        return dict(
-            zip(self.FLEET, self._fleet[slot].tolist() if self._count else [0.0] * len(self.FLEET), strict=True)
-        )
+    def at(self, t: int) -> dict[str, float]:
+        """Figures of the fleet by name in force at ``t`` (ns); NaN before the first."""
+        times, fleet = self.fleet()
+        place = int(np.searchsorted(times, t / 1e9, side="right")) - 1
+        return dict(zip(self.FLEET, fleet[place].tolist() if place >= 0 else [np.nan] * len(self.FLEET), strict=True))
 
     def vehicle(self, row: int) -> tuple[Floats, Singles]:
         """Unix seconds (T,) and figures (T, F) of the vehicle of a row, oldest first."""

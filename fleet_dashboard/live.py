@@ -51,7 +51,7 @@ async def _send(socket: WebSocket, view: View, gateway: Gateway, hearing: "async
         what = (picture.number, picture.t, view.viewport, view.sets, view.position)
         if what != sent:
             sent = what
-            news = view.news(gateway)
+            news = view.news(gateway, picture)
             if news is not None:
                 await socket.send_text(news)
             await socket.send_bytes(view.frame(gateway, picture))

@@ -6,6 +6,7 @@ from typing import Final
 
 from nicegui import events, ui
 
+from fleet_dashboard import concerns
 from fleet_dashboard.fleet_map import FleetMap
 from fleet_dashboard.gateway import Gateway
 from fleet_dashboard.labels import meaning_dialog
@@ -182,19 +183,20 @@ class FleetPage:
         """Renew figures, banners and the bar."""
         gateway, picture = self._gateway, self._view.picture(self._gateway)
         self._playback.refresh()
-        problems = gateway.problems() if self._live and self._view.position is None else []
+        problems = concerns.problems(gateway) if self._live and self._view.position is None else []
         self._banner.set_text(" · ".join(problems[:4]))
         self._banner.set_visibility(bool(problems))
-        alarms = gateway.alarms(picture)
+        alarms = concerns.alarms(gateway, picture)
         self._alarm.set_text(" · ".join(alarms))
         self._alarm.set_visibility(bool(alarms))
         past = self._live and self._view.position is not None
         self._past.set_text(f"paused: this is how it was at {clock(picture.t)}")
         self._past.set_visibility(past)
-        rates = gateway.series.newest()
+        rates = gateway.series.at(picture.t)
         stale = int(picture.stale().sum())
         self._figures.set_text(
-            f"{len(picture)} vehicles · {rates['samples']:.0f} samples/s · {rates['tubes']:.0f} tubes/s"
+            f"{len(picture)} vehicles"
+            + (f" · {rates['samples']:.0f} samples/s · {rates['tubes']:.0f} tubes/s" if rates["vehicles"] >= 0 else "")
         )
         counts = Counter(picture.label.tolist())
         for code, label in enumerate(LABELS):

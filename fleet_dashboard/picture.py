@@ -93,6 +93,8 @@ class Picture:
     outline: Singles
     low: Floats
     high: Floats
+    #: Scenario and predicate that cut the newest tube of some vehicle which is not stale, looked at once a second.
+    acting: frozenset[tuple[str, str]] = frozenset()
 
     def __len__(self) -> int:
         return len(self.label)

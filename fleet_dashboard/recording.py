@@ -7,11 +7,13 @@ from typing import Final
 from fleet_bus.errors import FleetError
 from fleet_bus.pubsub import Received
 from fleet_dashboard.gateway import TICK, Gateway
-from fleet_dashboard.history import History
+from fleet_dashboard.history import History, Series
 from fleet_dashboard.regions import Regions
 
 #: A recording longer than that has its beginning left out, s.
 MOST_SECONDS: Final = 24 * 3600.0
+#: Figures of a recording that are plotted: one a second.
+MOST_FIGURES: Final = 3600
 _TICK_NS: Final = round(TICK * 1e9)
 #: A gap in a recording is not filled with pictures: so many show that it begins.
 _MOST_TICKS: Final = 40
@@ -28,7 +30,8 @@ def load(
 
     Raises ``FleetError`` if there are none. Told to stop, it ends with what came until then.
     """
-    gateway = Gateway(draw=draw, history=History(span=MOST_SECONDS) if history is None else history)
+    history = History(span=MOST_SECONDS) if history is None else history
+    gateway = Gateway(draw=draw, history=history, series=Series(MOST_FIGURES))
     now = 0
     for message in messages:
         if stop is not None and stop.is_set():

@@ -192,7 +192,7 @@ class VehicleTable:
         low[large], high[large] = np.inf, -np.inf
         low[placed] = np.minimum(low[placed], position[placed])
         high[placed] = np.maximum(high[placed], position[placed])
-        return Picture(number, t, self.ids, marks=marks, low=low, high=high, **shown)
+        return Picture(number, t, self.ids, marks=marks, low=low, high=high, acting=frozenset(), **shown)
 
 
 def arrivals(messages: Sequence[Received], index: NDArray[np.intp]) -> NDArray[np.int64]:

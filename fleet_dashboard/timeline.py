@@ -103,9 +103,10 @@ class Obligations:
         self.transitions.append(known[obligation])
         return True
 
-    def contradicted(self, vehicle: str) -> list[Transition]:
-        """Obligations of a vehicle that are contradicted now, side information first."""
-        found = [now for now in self._of.get(vehicle, {}).values() if now.fate is Fate.CONTRADICTED]
+    def contradicted(self, vehicle: str, t: int) -> list[Transition]:
+        """Obligations of a vehicle that are contradicted and were by ``t`` (ns), side information first."""
+        known = self._of.get(vehicle, {}).values()
+        found = [now for now in known if now.fate is Fate.CONTRADICTED and now.t <= t]
         return sorted(found, key=lambda now: not now.obligation.endswith(ASSUMED))
 
     def until(self, t: int) -> dict[tuple[str, str], list[Transition]]:

@@ -31,7 +31,8 @@ _COLUMNS: Final[list[dict[str, Any]]] = [
 
 def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
     """A row for each vehicle of a picture, with numbers that are not known as None."""
-    waiting = gateway.services.waiting()
+    # Of the past it is not known.
+    waiting = gateway.services.waiting() if picture is gateway.picture else {}
     servers = gateway.table.servers
     age = picture.age()
     with np.errstate(all="ignore"):
@@ -48,7 +49,7 @@ def rows(gateway: Gateway, picture: Picture) -> list[dict[str, Any]]:
     ):
         parts = [waiting.get(id_, "")] if label == NO_TUBE else []
         if marks & ASTRAY:
-            parts += [broken.words for broken in gateway.obligations.contradicted(id_)]
+            parts += [broken.words for broken in gateway.obligations.contradicted(id_, picture.t)]
         parts.append((Mark(marks) & ~ASTRAY).words)
         why = "; ".join(filter(None, parts))
         found.append(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from nicegui import ui
 
 from fleet_bus.errors import MessageError
+from fleet_dashboard import concerns
 from fleet_dashboard.fleet_map import FleetMap
 from fleet_dashboard.gateway import Gateway
 from fleet_dashboard.labels import meaning_dialog
@@ -98,7 +99,7 @@ class VehiclePage:
         picture = gateway.picture
         row = gateway.table.find(vehicle)
         profile = gateway.profiles.get(vehicle)
-        problems = gateway.problems()
+        problems = concerns.problems(gateway)
         if row is None or row >= len(picture):
             problems = [*problems, f"nothing has been heard of {vehicle}"]
             self._label.set_text("not known")

@@ -75,7 +75,7 @@ class View:
         follow = -1 if row is None else row
         return encode(picture, self.viewport, sets=self.sets, past=self.position is not None, follow=follow)
 
-    def news(self, gateway: Gateway) -> str | None:
+    def news(self, gateway: Gateway, picture: Picture) -> str | None:
         """What the browser has not been told: ids of new rows, regions, and which are active now; None if nothing."""
         said: dict[str, Any] = {}
         known = len(gateway.table.ids)
@@ -89,7 +89,7 @@ class View:
                 for scenario, regions in sorted(gateway.regions.all().items())
                 for name, border in regions.borders.items()
             ]
-        active = sorted(active_regions(gateway))
+        active = sorted(active_regions(gateway, picture))
         text = json.dumps(active)
         if text != self._active:
             self._active = text
@@ -101,9 +101,9 @@ class View:
         self._told, self._regions, self._active = 0, -1, ""
 
 
-def active_regions(gateway: Gateway) -> set[tuple[str, str]]:
-    """Scenario and region whose predicates cut a tube just now."""
-    acting = gateway.acting()
+def active_regions(gateway: Gateway, picture: Picture) -> set[tuple[str, str]]:
+    """Scenario and region whose predicates cut a tube of a picture."""
+    acting = picture.acting
     return {
         (scenario, name)
         for scenario, regions in gateway.regions.all().items()

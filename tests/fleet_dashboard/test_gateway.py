@@ -11,7 +11,7 @@ from fleet_bus import keys
 from fleet_bus.bus import Handle
 from fleet_bus.messages import Assignment, Cut, Label, ScenarioDocument, StateFlag
 from fleet_bus.pubsub import Received
-from fleet_dashboard import table
+from fleet_dashboard import concerns, table
 from fleet_dashboard.gateway import Gateway
 from fleet_dashboard.picture import LABELS, NO_TUBE, Mark, Picture
 from fleet_dashboard.regions import Regions
@@ -121,11 +121,11 @@ def test_who_is_silent_is_marked_and_who_speaks_again_is_not() -> None:
     picture = gateway.tick(late)
     assert Mark(int(picture.marks[0])) == Mark.SILENT | Mark.TUBE_OLD | Mark.SERVER_SILENT
     assert picture.age().tolist() == [3.0]
-    assert gateway.problems() == ["reach server reach-1: silent for 3 s"]
+    assert concerns.problems(gateway) == ["reach server reach-1: silent for 3 s"]
     gateway.feed(of_state("a", [0] * 4, seq=1, arrived=late))
     gateway.feed(of_tube(tube("a", seq=1), late))
     assert not gateway.tick(late).stale().any()
-    assert gateway.problems() == []
+    assert concerns.problems(gateway) == []
 
 
 def test_a_server_whose_token_goes_is_silent_at_once() -> None:
@@ -139,7 +139,7 @@ def test_a_server_whose_token_goes_is_silent_at_once() -> None:
     token.close()
     picture = gateway.tick(T0 + 1)
     assert Mark(int(picture.marks[0])) & Mark.SERVER_SILENT
-    assert gateway.problems() == ["reach server reach-1: gone, silent for 0 s"]
+    assert concerns.problems(gateway) == ["reach server reach-1: gone, silent for 0 s"]
 
 
 def test_a_server_that_another_took_over_from_is_no_problem() -> None:
@@ -149,7 +149,7 @@ def test_a_server_that_another_took_over_from_is_no_problem() -> None:
     gateway.feed(of_status("new", t=later, arrived=later))
     picture = gateway.tick(later)
     assert Mark.SERVER_SILENT not in Mark(int(picture.marks[0]))
-    assert gateway.problems() == []
+    assert concerns.problems(gateway) == []
 
 
 def test_a_contradiction_is_an_alarm_that_says_who_and_why() -> None:
@@ -158,14 +158,14 @@ def test_a_contradiction_is_an_alarm_that_says_who_and_why() -> None:
         keys.assignment("lot", "a"), assignment.encode(), Assignment.encoding(), None, arrived_ns=T0 - SECOND
     )
     gateway, picture = fed(assigned, of_tube(tube("a")), of_tube(tube("b")), of_profile("a"), of_profile("b"))
-    assert gateway.alarms(picture) == []
+    assert concerns.alarms(gateway, picture) == []
     gateway.feed(of_event(contradiction("a")))
     # Recovery brings it again, and the assignment.
     gateway.feed(of_event(contradiction("a")))
     gateway.feed(assigned)
     picture = gateway.tick(T0)
     assert [Mark(int(marks)) for marks in picture.marks] == [Mark.LEFT, Mark(0)]
-    assert gateway.alarms(picture) == ["a left its scenario: it left the lot"]
+    assert concerns.alarms(gateway, picture) == ["a left its scenario: it left the lot"]
     assert len(gateway.events.until(T0)) == 1
     found = rows(gateway, picture)
     assert [row["id"] for row in found] == ["a", "b"]
@@ -173,13 +173,13 @@ def test_a_contradiction_is_an_alarm_that_says_who_and_why() -> None:
     # Assigned anew, it takes part again.
     again = Assignment(scenario="lot", vehicle="a", time_zero=T0 + SECOND)
     gateway.feed(replace(assigned, payload=again.encode(), arrived_ns=T0 + SECOND))
-    assert gateway.alarms(gateway.tick(T0 + SECOND)) == []
+    assert concerns.alarms(gateway, gateway.tick(T0 + SECOND)) == []
 
 
 def test_a_violated_requirement_is_an_alarm() -> None:
     gateway, picture = fed(of_profile("a"), of_tube(tube("a", verdicts={"lot.fast": "violated"})))
     assert Mark(int(picture.marks[0])) == Mark.VIOLATES
-    assert gateway.alarms(picture) == ["a violates lot.fast"]
+    assert concerns.alarms(gateway, picture) == ["a violates lot.fast"]
 
 
 def test_what_is_refused_is_counted_and_changes_nothing() -> None:
@@ -248,7 +248,7 @@ def test_a_tick_that_fails_is_told_and_does_not_end_the_page(monkeypatch: pytest
     said: list[list[str]] = []
 
     def waited(now: float) -> None:
-        said.append(gateway.problems())
+        said.append(concerns.problems(gateway))
         if now > 1.0:
             stop.set()
 
@@ -272,10 +272,10 @@ def test_regions_whose_predicates_cut_are_active() -> None:
     gateway.feed(of_tube(tube("a", cuts=[Cut("lot", "P.x", 1, 2), Cut("yard", "O", 1, 1)])))
     gateway.tick(T0)
     wait_until(lambda: gateway.regions.number == 1)
-    assert active_regions(gateway) == {("lot", "P")}
+    assert active_regions(gateway, gateway.picture) == {("lot", "P")}
     # What a stale tube was cut by is not active.
     gateway.tick(T0 + 5 * SECOND)
-    assert active_regions(gateway) == set()
+    assert active_regions(gateway, gateway.picture) == set()
 
 
 def listening(network: Network) -> Gateway:

@@ -69,7 +69,7 @@ def test_pictures_are_not_kept_oftener_than_asked() -> None:
 
 def test_series_hold_the_newest_figures_in_order() -> None:
     series = Series(length=5)
-    assert series.newest()["samples"] == 0
+    assert np.isnan(series.at(T0)["samples"])
     picture = some()
     for k in range(8):
         series.add(replace(at(picture, T0 + k * SECOND), area=np.array([float(k)])), 20.0 + k, 10.0)
@@ -79,7 +79,8 @@ def test_series_hold_the_newest_figures_in_order() -> None:
     assert fleet[:, Series.FLEET.index("samples")].tolist() == [23, 24, 25, 26, 27]
     _, own = series.vehicle(0)
     assert own[:, Series.VEHICLE.index("area")].tolist() == [3, 4, 5, 6, 7]
-    assert series.newest()["samples"] == 27
+    assert series.at(T0 + 9 * SECOND)["samples"] == 27
+    assert series.at(T0 + 4 * SECOND)["samples"] == 24
     assert np.isnan(series.vehicle(10_000)[1]).all()
 
 
@@ -99,5 +100,5 @@ def test_the_gateway_counts_what_comes_a_second() -> None:
             gateway.feed(of_state("a", [0, k, n, 0], seq=4 * k + n, arrived=T0 + k * TENTH))
         gateway.feed(of_tube(tube("a", seq=4 * k), T0 + k * TENTH))
         gateway.tick(T0 + k * TENTH)
-    assert gateway.series.newest()["samples"] == pytest.approx(40)
-    assert gateway.series.newest()["tubes"] == pytest.approx(10)
+    assert gateway.series.at(T0 + SECOND)["samples"] == pytest.approx(40)
+    assert gateway.series.at(T0 + SECOND)["tubes"] == pytest.approx(10)

@@ -41,8 +41,9 @@ def test_a_contradiction_ends_the_side_information() -> None:
     obligations.assigned("a", "lot", True, T0)
     (transitions,) = obligations.until(T0 + 9).values()
     assert [each.fate for each in transitions] == [Fate.PENDING, Fate.CONTRADICTED]
-    assert [each.obligation for each in obligations.contradicted("a")] == ["lot.assume"]
-    assert obligations.contradicted("b") == []
+    assert [each.obligation for each in obligations.contradicted("a", T0 + 9)] == ["lot.assume"]
+    assert obligations.contradicted("b", T0 + 9) == []
+    assert obligations.contradicted("a", T0 + 4) == []
 
 
 def test_what_a_clock_that_is_ahead_says_happened_when_it_was_heard_of() -> None:
