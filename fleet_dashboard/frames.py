@@ -22,8 +22,8 @@ offset type                    meaning
 …      f4 (P, K, 2)            corners
 ====== ======================= ====================================================================================
 
-Ids come beside it, once for each row. Vehicles whose sets are smaller than ``DOT`` pixels have no polygons, those
-smaller than ``THIN`` only that of the last step.
+Ids come beside it, once for each row. Vehicles whose sets are smaller than ``DOT`` pixels have no polygons; of small
+ones every so manieth step is left, the last one among them.
 """
 
 import struct
@@ -40,9 +40,10 @@ VERSION: Final = 1
 PAST: Final = 1
 _HEADER: Final = struct.Struct("<IIdddIIIII12x")
 
-#: Pixels below which a set is a dot, and below which only the last step can be told apart.
+#: Pixels below which a set is a dot, and pixels of a set's size for each step that is drawn of it: what lies closer
+#: cannot be told apart.
 DOT: Final = 3.0
-THIN: Final = 16.0
+APART: Final = 8.0
 #: Polygons of one frame; beyond, all vehicles have only their last step.
 MOST_POLYGONS: Final = 20_000
 
@@ -128,10 +129,10 @@ def _polygons(
     drawn = (last >= 0) & (size >= DOT) & (picture.marks[chosen] & 16 == 0)
     step = np.arange(horizon)
     wanted = drawn[:, None] & (step <= last[:, None])
-    thin = size < THIN
+    stride = np.ceil((last + 1) / np.maximum(size / APART, 1))
+    wanted &= (last[:, None] - step) % stride[:, None] == 0
     if np.count_nonzero(wanted) > MOST_POLYGONS:
-        thin[:] = True
-    wanted &= ~thin[:, None] | (step == last[:, None])
+        wanted &= step == last[:, None]
     # Far sets first, so that near ones lie on top.
     steps, owner = np.nonzero(wanted.T[::-1])
     steps = horizon - 1 - steps

@@ -93,19 +93,20 @@ function drawVehicles(context, view, { frame, ids, followed, hovered, colours, t
     return `rgb(${((code >> 8) & STALE ? colours[colours.length - 1] : colours[code & 255]).join(",")})`;
   };
   const size = frame.count > 300 ? 4 : 7;
-  const texts = [];
+  const texts = [], shapes = new Map(), rings = { chosen: new Path2D(), astray: new Path2D() };
   for (let i = 0; i < frame.count; i++) {
     const [x, y] = view.toScreen(frame.origin[0] + frame.poses[3 * i], frame.origin[1] + frame.poses[3 * i + 1]);
     if (!(x > -20 && y > -20 && x < view.width + 20 && y < view.height + 20)) continue;
     const label = frame.codes[i] & 255, marks = frame.codes[i] >> 8, id = ids[frame.rows[i]];
-    drawVehicle(context, x, y, frame.poses[3 * i + 2], size, rgb(i), label, marks & STALE, theme);
+    const hollow = marks & STALE || label === 2 || label > 3;
+    const key = `${rgb(i)} ${hollow ? 1 : 0}`;
+    if (!shapes.has(key)) shapes.set(key, { colour: rgb(i), hollow, body: new Path2D(), cross: new Path2D() });
+    addVehicle(shapes.get(key), x, y, frame.poses[3 * i + 2], size, label === 3);
     const chosen = id === followed || id === hovered;
     if (chosen || marks & ASTRAY) {
-      context.strokeStyle = marks & ASTRAY ? theme.alarm : theme.text;
-      context.lineWidth = marks & ASTRAY ? 2.5 : 1.5;
-      context.beginPath();
-      context.arc(x, y, size + 8, 0, 2 * Math.PI);
-      context.stroke();
+      const ring = marks & ASTRAY ? rings.astray : rings.chosen;
+      ring.moveTo(x + size + 8, y);
+      ring.arc(x, y, size + 8, 0, 2 * Math.PI);
     }
     const urgent = chosen || marks & ASTRAY || label === 3;
     if (!id || !(urgent || (names && frame.count <= MOST_NAMES))) continue;
@@ -114,6 +115,22 @@ function drawVehicles(context, view, { frame, ids, followed, hovered, colours, t
     const stale = marks & STALE && isFinite(age) ? ` · stale ${age.toFixed(0)} s` : "";
     texts.push({ text: id + why + stale, x: x + size + (urgent ? 13 : 6), y: y - size, urgent });
   }
+  // One path for all that look alike: a call for each vehicle is slow.
+  for (const { colour, hollow, body, cross } of shapes.values()) {
+    context.lineWidth = 1.5;
+    context.fillStyle = hollow ? theme.halo : colour;
+    context.fill(body);
+    context.strokeStyle = hollow ? colour : theme.halo;
+    context.stroke(body);
+    context.strokeStyle = colour;
+    context.lineWidth = 2;
+    context.stroke(cross);
+  }
+  context.lineWidth = 2;
+  context.strokeStyle = theme.text;
+  context.stroke(rings.chosen);
+  context.strokeStyle = theme.alarm;
+  context.stroke(rings.astray);
   drawNames(context, texts, theme);
 }
 
@@ -135,35 +152,23 @@ function drawNames(context, texts, theme) {
 }
 
 /** An arrow along the heading, a circle without one. The label shows in the shape as well as in the colour. */
-function drawVehicle(context, x, y, heading, size, colour, label, stale, theme) {
-  context.save();
-  context.translate(x, y);
-  context.beginPath();
+function addVehicle({ body, cross }, x, y, heading, size, crossed) {
   if (isFinite(heading)) {
-    context.rotate(-heading);
-    context.moveTo(1.5 * size, 0);
-    context.lineTo(-size, 0.9 * size);
-    context.lineTo(-0.5 * size, 0);
-    context.lineTo(-size, -0.9 * size);
-    context.closePath();
+    // Along the heading and to its left; the second axis of the screen points down.
+    const [c, s] = [Math.cos(heading), Math.sin(heading)];
+    const at = (along, left) => [x + size * (along * c - left * s), y - size * (along * s + left * c)];
+    body.moveTo(...at(1.5, 0));
+    body.lineTo(...at(-1, 0.9));
+    body.lineTo(...at(-0.5, 0));
+    body.lineTo(...at(-1, -0.9));
+    body.closePath();
   } else {
-    context.arc(0, 0, 0.8 * size, 0, 2 * Math.PI);
+    body.moveTo(x + 0.8 * size, y);
+    body.arc(x, y, 0.8 * size, 0, 2 * Math.PI);
   }
-  context.lineWidth = 1.5;
-  const hollow = stale || label === 2 || label > 3;
-  context.fillStyle = hollow ? theme.halo : colour;
-  context.fill();
-  context.strokeStyle = hollow ? colour : theme.halo;
-  context.stroke();
-  if (label === 3) {
-    context.strokeStyle = colour;
-    context.lineWidth = 2;
-    context.beginPath();
-    context.moveTo(-2 * size, -2 * size);
-    context.lineTo(2 * size, 2 * size);
-    context.moveTo(-2 * size, 2 * size);
-    context.lineTo(2 * size, -2 * size);
-    context.stroke();
-  }
-  context.restore();
+  if (!crossed) return;
+  cross.moveTo(x - 2 * size, y - 2 * size);
+  cross.lineTo(x + 2 * size, y + 2 * size);
+  cross.moveTo(x - 2 * size, y + 2 * size);
+  cross.lineTo(x + 2 * size, y - 2 * size);
 }

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_dashboard import frames
-from fleet_dashboard.frames import DOT, THIN, Viewport, encode
+from fleet_dashboard.frames import APART, DOT, Viewport, encode
 from fleet_dashboard.picture import Mark, Picture
 from tests.fleet_dashboard.messages import T0, of_profile, of_state, of_tube, tube
 from tests.fleet_dashboard.test_gateway import fed
@@ -129,9 +129,9 @@ def test_small_sets_are_thinned_and_become_dots() -> None:
     size = float((picture.high - picture.low).max())
     steps = [
         [step for _, step, _, _ in read(encode(picture, Viewport(-9, -9, 9, 9, pixels / size))).polygons]
-        for pixels in (2 * THIN, THIN * 0.9, DOT * 1.1, DOT * 0.9)
+        for pixels in (3.1 * APART, 1.6 * APART, 0.9 * APART, DOT * 1.1, DOT * 0.9)
     ]
-    assert steps == [[3, 2, 1], [3], [3], []]
+    assert steps == [[3, 2, 1], [3, 1], [3], [3], []]
 
 
 def test_without_a_view_all_vehicles_come_and_no_sets() -> None:
