@@ -28,7 +28,7 @@ export default {
     this.sizes = new ResizeObserver(() => this.resize());
     this.sizes.observe(this.$el);
     listen(this.$el, this);
-    this.connect();
+    this.$nextTick(() => this.connect()); // the page, which knows its path behind a proxy, is mounted after this
     this.silence = setInterval(() => this.tellSilence(), 500);
   },
 

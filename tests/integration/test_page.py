@@ -22,6 +22,7 @@ from side_info.documents.scenario import Scenario
 from tests.browser import ARGUMENTS, CHROMIUM
 from tests.fleet_dashboard.messages import PROFILE, contradiction, tube
 from tests.integration.conftest import Process, Start
+from tests.proxy import proxied
 from tests.waiting import DEADLINE, wait_until
 
 nicegui = pytest.importorskip("nicegui", reason="the page needs the extra `dashboard`")
@@ -82,9 +83,7 @@ class Fleet:
         self._seq += 1
         for k, name in enumerate(self.names):
             x, y = self.place(k)
-            self.told[name] = tube(
-                name, at=(x, y), seq=self._seq, t=now, server=self.named, cuts=self.cuts, radius=0.6
-            )
+            self.told[name] = tube(name, at=(x, y), seq=self._seq, t=now, server=self.named, cuts=self.cuts, radius=0.6)
             sample = StateSample(epoch=1, seq=self._seq, t=now, x=np.array([0.5, x, y, 0.7]), u=np.zeros(1))
             self._states[name].put(sample.encode())
             self._tubes[name].put(self.told[name].encode())
@@ -377,6 +376,20 @@ def test_a_token_lets_in_and_without_it_nobody(page: Page, fleet: Fleet, router:
     assert page.url == here
     assert page.errors == []
     assert process.end() == 0
+
+
+def test_behind_a_proxy_it_works_under_a_path(page: Page, fleet: Fleet, router: Router, start: Start) -> None:
+    _, url = opened(start, router, "--root-path", "/fleet", "--token", "correct-horse-battery")
+    port = re.search(r":(\d+)/", url)
+    assert port is not None
+    with proxied(int(port[1]), "/fleet") as outside:
+        show(page, f"{outside}?token=correct-horse-battery")
+        assert page.url == outside
+        page.locator(".ag-cell[col-id=id]").first.click()
+        page.get_by_role("button", name="details").click()
+        page.wait_for_url(f"{outside}vehicle/v0")
+        page.wait_for_function("window.fleetMap?.frame?.polygons > 0")
+        assert page.errors == []
 
 
 def test_the_demo_says_where_its_page_is_and_who_left(page: Page, start: Start) -> None:
