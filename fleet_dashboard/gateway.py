@@ -19,6 +19,7 @@ from fleet_bus.messages.state import decode_states
 from fleet_bus.pubsub import Received
 from fleet_bus.rejections import Rejections
 from fleet_dashboard.history import History, Series
+from fleet_dashboard.inbox import Inbox
 from fleet_dashboard.picture import Mark, Picture, nothing
 from fleet_dashboard.regions import Regions, RegionStore
 from fleet_dashboard.services import Services
@@ -30,8 +31,6 @@ _log = structlog.get_logger(__name__)
 
 #: Seconds between two pictures.
 TICK: Final = 0.1
-#: Messages that wait for the next tick; a tube waits in the place of the one before it.
-_MOST_WAITING: Final = 50_000
 #: Later than all times, ns.
 _EVER: Final = 2**63 - 1
 
@@ -60,8 +59,6 @@ class Gateway:
         self.series = Series() if series is None else series
         self.regions = RegionStore(draw)
         self.profiles: dict[str, VehicleProfile] = {}
-        #: By vehicle and scenario.
-        self.assignments: dict[tuple[str, str], Assignment] = {}
         self.newest_state: dict[str, Received] = {}
         self.newest_tube: dict[str, Received] = {}
         #: Scenario and predicate that cut the newest tube of each vehicle, with the first and last step.
@@ -70,10 +67,8 @@ class Gateway:
         self.picture: Picture = nothing()
         self.connected: Callable[[], bool] = lambda: True
         self._number = 0
-        self._waiting: deque[Received] = deque()
-        self._tubes: dict[str, Received] = {}
+        self._inbox = Inbox(self.rejections)
         self._tokens: deque[tuple[str, bool, int]] = deque()
-        self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
         self._rated = 0
         #: Why ticks fail, empty while they do not.
@@ -109,14 +104,7 @@ class Gateway:
 
     def feed(self, received: Received) -> None:
         """A message, from the bus or from a recording; it is looked at with the next tick."""
-        with self._lock:
-            if received.key.endswith("/tube"):
-                self._counts["tubes"] += 1
-                self._tubes[received.key] = received
-            elif len(self._waiting) < _MOST_WAITING:
-                self._waiting.append(received)
-            else:
-                self.rejections.count(MessageError("overflow", "more came than the page could read"), received.key)
+        self._inbox.put(received)
 
     def _token(self, key: str, alive: bool) -> None:
         self._tokens.append((key, alive, self.clock.time_ns()))
@@ -138,15 +126,16 @@ class Gateway:
 
     def tick(self, now: int) -> Picture:
         """Look at what has come, and make the picture of ``now`` (ns)."""
-        with self._lock:
-            waiting, self._waiting = self._waiting, deque()
-            tubes, self._tubes = self._tubes, {}
-        states = [message for message in waiting if message.key.endswith("/state")]
-        for message in waiting:
-            if not message.key.endswith("/state"):
-                self._checked(message, self._rare)
-        self._states(states)
-        self._tube_messages(list(tubes.values()))
+        came = self._inbox.take()
+        self._counts["tubes"] += came.tubes_came
+        for message in came.others:
+            self._checked(message, self._rare)
+        self._states(came.states)
+        stacks = came.tubes
+        while stacks:
+            # Of a vehicle the newest tube is read; where that is refused, the one before it.
+            refused = self._tube_messages([stack.pop() for stack in stacks])
+            stacks = [stacks[i] for i in refused if stacks[i]]
         # After the messages: the last status of a service that is gone came before its token went.
         while self._tokens:
             self.services.token(*self._tokens.popleft())
@@ -190,10 +179,13 @@ class Gateway:
     def _rare(self, message: Received) -> None:
         chunks = message.key.split("/")
         match chunks:
-            case ["svc", _, _, "status"]:
-                self.services.status(ServiceStatus.decode(message.payload, message.encoding), message.arrived_ns)
-            case ["reach", _, "event"] | ["svc", _, _, "event"]:
+            case ["svc", kind, instance, "status"]:
+                status = ServiceStatus.decode(message.payload, message.encoding)
+                _named(message, (kind, instance), (status.kind, status.instance))
+                self.services.status(status, message.arrived_ns)
+            case ["reach", *vehicle, "event"] | ["svc", _, _, *vehicle, "event"]:
                 event = Event.decode(message.payload, message.encoding)
+                _named(message, tuple(vehicle), () if event.vehicle is None else (event.vehicle,))
                 if self.events.add(event, message.arrived_ns):
                     self.obligations.event(event, message.arrived_ns)
                     if event.vehicle is not None:
@@ -201,14 +193,14 @@ class Gateway:
             case ["fleet", _, "profile"]:
                 vehicle = keys.vehicle_of(message.key)
                 profile = VehicleProfile.decode(message.payload, message.encoding)
-                self.table.profile(vehicle, profile)
-                self.profiles[vehicle] = profile
+                if self.table.profile(vehicle, profile):
+                    self.profiles[vehicle] = profile
             case ["spec", _, "document"]:
                 self.regions.document(ScenarioDocument.decode(message.payload, message.encoding))
             case ["spec", scenario, "assignment", vehicle]:
-                self.table.row(keys.check_id(vehicle))
                 assignment = Assignment.decode(message.payload, message.encoding)
-                self.assignments[vehicle, scenario] = assignment
+                _named(message, (scenario, vehicle), (assignment.scenario, assignment.vehicle))
+                self.table.row(vehicle)
                 t = min(assignment.time_zero, message.arrived_ns)
                 self.obligations.assigned(vehicle, scenario, assignment.active, t)
                 self._astray(vehicle)
@@ -233,8 +225,9 @@ class Gateway:
             rows = np.array([self._row_of(messages[i]) for i in batch.index.tolist()], dtype=np.intp)
             self.table.states(rows, batch, arrivals(messages, batch.index))
             self._counts["samples"] += len(rows)
-            for i in batch.index.tolist():
-                self.newest_state[messages[i].key] = messages[i]
+            for i, row in zip(batch.index.tolist(), rows.tolist(), strict=True):
+                if row >= 0:
+                    self.newest_state[messages[i].key] = messages[i]
 
     def _row_of(self, message: Received) -> int:
         try:
@@ -246,7 +239,8 @@ class Gateway:
             self.rejections.count(MessageError("overflow", "more vehicles than the page keeps"), message.key)
         return row
 
-    def _tube_messages(self, messages: Sequence[Received]) -> None:
+    def _tube_messages(self, messages: Sequence[Received]) -> list[int]:
+        """Take in tubes, of each vehicle one; places of those that are refused."""
         batches, refused = decode_tubes(messages)
         servers: dict[str, int] = {}
         for index, error in refused:
@@ -266,3 +260,10 @@ class Gateway:
                         self._astray(vehicle)
         for server, arrived in servers.items():
             self.services.heard(server, arrived)
+        return [index for index, _ in refused]
+
+
+def _named(message: Received, key: tuple[str, ...], said: tuple[str, ...]) -> None:
+    """Raise ``MessageError`` (key) unless a message is about what its key is about."""
+    if key != said:
+        raise MessageError("key", f"a message about {'/'.join(said) or 'a service'} came on {message.key:.120}")

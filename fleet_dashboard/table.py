@@ -84,11 +84,12 @@ class VehicleTable:
             grown["outline"][: len(old), : self._steps, self._corners :] = old[:, :, -1:]
         self._data, self._steps, self._corners = grown, steps, corners
 
-    def profile(self, vehicle: str, profile: VehicleProfile) -> None:
-        """Note which states of a vehicle are its position and heading, and the rate that is asked for."""
+    def profile(self, vehicle: str, profile: VehicleProfile) -> bool:
+        """Note which states of a vehicle are its position and heading, and the rate that is asked for; whether it has a
+        row."""
         row, roles = self.row(vehicle), profile.roles
         if row < 0:
-            return
+            return False
         names = profile.state_names
         self._data["roles"][row] = -1
         if roles.position is not None:
@@ -97,6 +98,7 @@ class VehicleTable:
             self._data["roles"][row, 2] = names.index(roles.heading)
         self._data["nominal"][row] = 1.0 if profile.guaranteed else profile.confidence
         self._data["profiled"][row] = True
+        return True
 
     def astray(self, vehicle: str, marks: Mark) -> None:
         """Note what a vehicle does that it should not: ``Mark.LEFT`` and ``Mark.VIOLATES``, or neither."""

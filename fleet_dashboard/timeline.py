@@ -91,14 +91,14 @@ class Obligations:
             self._tell(event.vehicle, scenario + ASSUMED, Fate.CONTRADICTED, event.message, min(event.t, arrived))
 
     def _tell(self, vehicle: str, obligation: str, what: Fate, verdict: str, t: int) -> bool:
-        known = self._of.setdefault(vehicle, {})
-        before = known.get(obligation)
+        before = self._of.get(vehicle, {}).get(obligation)
         if before is not None and before.fate is what:
             return False
         if before is None:
             if self._followed >= MOST_FOLLOWED:
                 return False
             self._followed += 1
+        known = self._of.setdefault(vehicle, {})
         known[obligation] = Transition(t, vehicle, obligation, what, verdict)
         self.transitions.append(known[obligation])
         return True

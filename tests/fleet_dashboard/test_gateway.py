@@ -11,7 +11,7 @@ from fleet_bus import keys
 from fleet_bus.bus import Handle
 from fleet_bus.messages import Assignment, Cut, Label, ScenarioDocument, StateFlag
 from fleet_bus.pubsub import Received
-from fleet_dashboard import concerns, table
+from fleet_dashboard import concerns, inbox, table
 from fleet_dashboard.gateway import Gateway
 from fleet_dashboard.picture import LABELS, NO_TUBE, Mark, Picture
 from fleet_dashboard.regions import Regions
@@ -191,14 +191,28 @@ def test_what_is_refused_is_counted_and_changes_nothing() -> None:
         replace(of_state("a", [9] * 4), key="x"),
         replace(of_profile("a"), encoding="application/msgpack;fleet.profile.v9"),
         replace(of_event(contradiction("a")), payload=b""),
+        # About another than their key says.
+        replace(of_event(contradiction("a")), key="reach/b/event"),
+        replace(of_event(contradiction("a")), key="svc/reach/reach-1/event"),
+        replace(of_status(), key="svc/reach/x/status"),
     ):  # fmt: skip
         gateway.feed(message)
     picture = gateway.tick(T0)
     for name in ("position", "label", "marks", "area", "outline"):
         np.testing.assert_array_equal(getattr(picture, name), getattr(before, name))
     counted = gateway.rejections.snapshot()
-    assert sum(counted.values()) == 7
+    assert sum(counted.values()) == 10
     assert counted["version"] == 1
+
+
+def test_a_tube_that_is_refused_hides_none_that_came_before_it() -> None:
+    gateway, _ = fed()
+    gateway.feed(of_tube(tube("a", seq=1, label=Label.CALIBRATED)))
+    gateway.feed(of_tube(tube("a", seq=2)))
+    for _ in range(3):
+        gateway.feed(replace(of_tube(tube("a", seq=3)), payload=b"\x00"))
+    assert LABELS[gateway.tick(T0).label[0]] == "guaranteed"
+    assert gateway.rejections.snapshot() == {"malformed": 3}
 
 
 def test_a_set_of_astronomic_size_is_said_and_not_drawn() -> None:
@@ -215,6 +229,15 @@ def test_vehicles_beyond_the_most_are_counted(monkeypatch: pytest.MonkeyPatch) -
     gateway, picture = fed(*(of_tube(tube(f"t{k}")) for k in range(5)), *(of_state(f"s{k}", [0] * 4) for k in range(5)))
     assert len(picture) == 3
     assert gateway.rejections.snapshot()["overflow"] >= 2
+
+
+def test_what_the_page_cannot_keep_until_it_looks_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inbox, "MOST_WAITING", 2)
+    gateway, picture = fed(
+        *(of_tube(tube(f"t{k}")) for k in range(3)), *(of_state("t0", [0] * 4, seq=k) for k in range(3)), of_status()
+    )
+    assert gateway.rejections.snapshot() == {"overflow": 2}
+    assert list(picture.ids) == ["t0", "t1"]
 
 
 def test_it_reads_the_bus_and_puts_nothing() -> None:

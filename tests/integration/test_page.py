@@ -344,6 +344,39 @@ def test_without_vehicles_or_profile_no_page_is_blank(path: str, page: Page, rou
     assert page.errors == []
 
 
+def test_bad_input_is_refused_and_said_and_moves_nothing(
+    page: Page, fleet: Fleet, router: Router, start: Start
+) -> None:
+    _, url = opened(start, router)
+    show(page, url)
+    fleet.speaking.clear()
+    page.wait_for_function("[...fleetMap.frame.codes].every((code) => (code >> 8) & 7)")
+    before = page.evaluate("[...fleetMap.frame.outline]")
+    good = fleet.told["v0"].encode()
+    session = fleet.bus.session
+    for payload, encoding in (
+        (b"", TUBE), (b"\xc1" * 100, TUBE), (good[:-9], TUBE), (good, "application/msgpack;fleet.tube.v2"),
+        (bytes(10**6), TUBE),
+    ):  # fmt: skip
+        session.put(keys.tube("v0"), payload, encoding=encoding)
+    # Far away and of any size; and one of which nothing else is known.
+    session.put(keys.tube("huge"), tube("huge", at=(1e38, -1e38), radius=1e37).encode(), encoding=TUBE)
+    session.put(keys.tube("alone"), tube("alone", at=(1.0, 1.0)).encode(), encoding=TUBE)
+    page.get_by_role("tab", name="services").click()
+    page.get_by_text(re.compile("the page refused 1 messages: version")).wait_for()
+    page.get_by_text(re.compile("the page refused . messages: malformed")).wait_for()
+    page.wait_for_function("fleetMap.ids.length == 3 && fleetMap.find('alone') >= 0")
+    page.wait_for_function("[...fleetMap.frame.owners].includes(fleetMap.find('v0'))")
+    own = page.evaluate(
+        "[...fleetMap.frame.owners].flatMap((owner, p) => owner != fleetMap.find('v0') ? [] : "
+        "[...fleetMap.frame.outline.subarray(2 * p * fleetMap.frame.corners, 2 * (p + 1) * fleetMap.frame.corners)])"
+    )
+    assert own == pytest.approx(before, abs=1e-4)
+    page.get_by_role("tab", name="vehicles").click()
+    page.get_by_text(re.compile("its sets are too large to draw")).wait_for()
+    assert page.errors == []
+
+
 def test_a_lost_page_says_so_and_comes_back(page: Page, fleet: Fleet, router: Router, start: Start) -> None:
     process, url = opened(start, router)
     show(page, url)
