@@ -116,13 +116,15 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def page(browser: Any) -> Iterator[Page]:
-    """A page whose errors, of scripts and on the console, are kept in ``page.errors``."""
+    """A page whose errors, of scripts and on the console, are kept in ``page.errors``, and what it asks others for."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light")
     opened = context.new_page()
     opened.set_default_timeout(WAIT_MS)
     opened.errors = []
     opened.on("pageerror", lambda error: opened.errors.append(str(error)))
     opened.on("console", lambda said: said.type == "error" and opened.errors.append(said.text))
+    elsewhere = re.compile(r"^(?!https?://127\.0\.0\.1[:/]|data:|blob:)")
+    opened.on("request", lambda asked: elsewhere.match(asked.url) and opened.errors.append(asked.url))
     yield opened
     context.close()
 
