@@ -13,6 +13,7 @@ from rich.table import Table
 from fleet_bus.errors import FleetError, UsageError
 from fleet_bus.messages import EventKind
 from fleet_bus.router import Router
+from fleet_cli.demo_page import start_page
 from fleet_cli.monitor import Monitor, VehicleCoverage
 from fleet_cli.processes import Children
 from reach_server.side_information import first_contradiction
@@ -42,11 +43,20 @@ UNWANTED = (
 class Demo:
     """One run of the demo; ``run`` returns its summary, ``draw`` pictures it afterwards.
 
-    The last ``stray`` of the vehicles take another route, which leaves the scenario.
+    The last ``stray`` of the vehicles take another route, which leaves the scenario. With a ``page_port`` the page is
+    served meanwhile, on that port or the next one that is free.
     """
 
     def __init__(
-        self, scenario: str, vehicles: int, duration: float, *, stray: int = 0, port: int = 0, seed: int = 1
+        self,
+        scenario: str,
+        vehicles: int,
+        duration: float,
+        *,
+        stray: int = 0,
+        port: int = 0,
+        seed: int = 1,
+        page_port: int | None = None,
     ) -> None:
         if scenario not in ROUTES:
             raise UsageError(f"--scenario {scenario!r}: choose one of {', '.join(ROUTES)}")
@@ -58,6 +68,7 @@ class Demo:
         self._stray = self._vehicles[vehicles - stray :]
         self._duration = duration
         self._port = port
+        self._page_port = page_port
         self._seed = seed
         # A scenario longer than the demo is played faster, so that all of it is seen.
         self._speed = max(1.0, self.scenario.end_ns / 1e9 / duration)
@@ -66,10 +77,12 @@ class Demo:
     def run(self, stop: threading.Event, *, live: bool, quiet: bool) -> dict[str, Any]:
         """Bring everything up, watch for the duration, end everything; the summary as a JSON document."""
         console = Console(quiet=quiet)
-        with Router([f"tcp/127.0.0.1:{self._port}"]) as router, Children() as children:
+        with Router([f"tcp/127.0.0.1:{self._port}"]) as router, Children() as children, Children() as page:
             endpoint = router.endpoints[0]
             say = console.print
             say(f"router on {endpoint}", highlight=False)
+            if self._page_port is not None:
+                say(start_page(page, endpoint, self._page_port, stop), highlight=False, markup=False, soft_wrap=True)
             with Monitor([endpoint]) as monitor:
                 self._monitor = monitor
                 self._start(children, endpoint, stop, say)

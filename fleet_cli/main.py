@@ -18,6 +18,7 @@ from fleet_cli.commands.agent import agent
 from fleet_cli.commands.bench import bench
 from fleet_cli.commands.calibrate import calibrate
 from fleet_cli.commands.config import config
+from fleet_cli.commands.dashboard import dashboard
 from fleet_cli.commands.demo import demo
 from fleet_cli.commands.evaluate import evaluate
 from fleet_cli.commands.events import events
@@ -106,6 +107,7 @@ scenario_app.command("list")(scenario.scenario_list)
 scenario_app.command("check")(scenario.scenario_check)
 scenario_app.command("show")(scenario.scenario_show)
 for command in (
-    agent, record, replay, incident, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo, config,
+    agent, record, replay, incident, dashboard, watch, top, events, foxglove, evaluate, calibrate, paper, bench, demo,
+    config,
 ):  # fmt: skip
     app.command()(command)

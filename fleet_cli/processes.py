@@ -29,14 +29,19 @@ class Child:
             cwd=Path.cwd(),
         )
 
-    def wait_for(self, text: str, timeout: float, stop: threading.Event) -> None:
-        """Wait until the process has printed a line with ``text``; raise ``FleetError`` if it ends or takes longer."""
+    def wait_for(self, text: str, timeout: float, stop: threading.Event) -> str:
+        """The first line with ``text`` that the process prints, empty if it is told to ``stop`` before.
+
+        Raises ``FleetError`` if it ends before, or takes longer than ``timeout`` seconds.
+        """
         found = threading.Event()
+        lines: list[str] = []
 
         def read() -> None:
             assert self.process.stdout is not None
             for line in self.process.stdout:
-                if text in line:
+                if text in line and not found.is_set():
+                    lines.append(line.rstrip())
                     found.set()
 
         threading.Thread(target=read, daemon=True).start()
@@ -45,9 +50,10 @@ class Child:
             if self.process.poll() is not None and not found.wait(0.2):
                 raise FleetError(f"{self.name} ended with exit code {self.process.returncode}: {self.errors()}")
             if stop.is_set():
-                return
+                return ""
             if time.monotonic() > deadline:
                 raise FleetError(f"{self.name} did not get ready within {timeout:g} s: {self.errors()}")
+        return lines[0]
 
     def errors(self) -> str:
         """The end of what the process wrote to stderr."""

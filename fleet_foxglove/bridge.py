@@ -1,6 +1,7 @@
 """The server that Foxglove connects to: reads the bus once, shows the newest of each vehicle at a stated rate."""
 
 import logging
+import socket
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -31,6 +32,8 @@ KEPT_LOGS: Final = 200
 AGAIN_SECONDS: Final = 1.0
 #: Seconds for which states may be ahead of their profile before that is told.
 PROFILE_SECONDS: Final = 3.0
+#: Seconds within which a server that was stopped gives its port back.
+PORT_SECONDS: Final = 2.0
 
 
 class _Forward(logging.Handler):
@@ -39,6 +42,16 @@ class _Forward(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         level = "warning" if record.levelno >= logging.WARNING else "debug"
         getattr(_log, level)("foxglove says", message=record.getMessage()[:300])
+
+
+def _is_free(host: str, port: int) -> bool:
+    """Whether a server could listen there. Not by connecting, which would itself leave the port taken for a while."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as tried:
+        try:
+            tried.bind((host, port))
+        except OSError:
+            return False
+    return True
 
 
 @contextmanager
@@ -93,7 +106,7 @@ class Bridge:
         with ExitStack() as opening:
             opening.enter_context(_forwarded())
             server = self._start_server()
-            opening.callback(server.stop)
+            opening.callback(self._stop_server, server)
             # Profiles first: states mean nothing without them.
             for expression in (keys.ALL_PROFILES, keys.ALL_DOCUMENTS, keys.ALL_EVENTS, keys.ALL_SERVICE_EVENTS):
                 opening.enter_context(self._bus.subscriber(expression, self._keep, history=32))
@@ -178,6 +191,15 @@ class Bridge:
                 self.thinned += known
                 return
         self.rejections.count(MessageError("overflow", "too many senders at once"), received.key)
+
+    def _stop_server(self, server: foxglove.websocket.WebSocketServer) -> None:
+        """Stop the server, and wait until its port is free again, which ``stop`` does not."""
+        port = server.port
+        server.stop()
+        nobody = threading.Event()
+        until = self._clock.monotonic() + PORT_SECONDS
+        while not _is_free(self._at[0], port) and self._clock.monotonic() < until:
+            self._clock.wait(nobody, 0.01)
 
     def _start_server(self) -> foxglove.websocket.WebSocketServer:
         host, port = self._at

@@ -47,6 +47,7 @@ def loaded_by(statement: str) -> set[str]:
         ("import fleet_foxglove.topics", {"foxglove", "numpy", "zenoh"}),
         ("import fleet_foxglove.scene", {"casadi", "numba", "side_info", "reach_server"}),
         ("import fleet_cli.main", {"foxglove"}),
+        ("import fleet_dashboard.gateway", {"casadi", "lark", "nicegui", "numba", "side_info", "reach_server"}),
     ],
 )
 def test_a_face_loads_only_what_it_needs(statement: str, absent: set[str]) -> None:

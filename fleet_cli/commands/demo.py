@@ -21,7 +21,11 @@ def demo(
     duration: Annotated[
         float, typer.Option(help="Seconds; the scenario is played within this time.", min=2.0, max=86_400.0)
     ] = 40.0,
-    headless: Annotated[bool, typer.Option(help="Print lines instead of a live table.")] = False,
+    headless: Annotated[bool, typer.Option(help="Print lines instead of a live table; no page.")] = False,
+    page: Annotated[bool, typer.Option(help="Serve the page meanwhile, and print its address.")] = True,
+    page_port: Annotated[
+        int, typer.Option(help="Port of the page, or the next one that is free.", min=0, max=65535)
+    ] = 8080,
     port: Annotated[int, typer.Option(help="Port of the router; 0 takes a free one.", min=0, max=65535)] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the first vehicle.", min=0)] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary here; '-' for stdout.")] = None,
@@ -35,7 +39,8 @@ def demo(
     check_picture("--picture", picture)
     stop = stop_on_signals()
     to_stdout = json_file is not None and str(json_file) == "-"
-    run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed)
+    served = page_port if page and not headless else None
+    run = Demo(scenario, vehicles, duration, stray=stray, port=port, seed=seed, page_port=served)
     summary = run.run(stop, live=not headless, quiet=to_stdout)
     if not to_stdout:
         print_summary(summary)

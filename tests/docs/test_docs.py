@@ -34,6 +34,7 @@ DOCS = ROOT / "docs"
 PACKAGES = (
     "fleet_bus",
     "fleet_cli",
+    "fleet_dashboard",
     "fleet_foxglove",
     "fleet_lab",
     "fleet_recorder",
