@@ -67,15 +67,15 @@ def main() -> int:
     }.items():
         config.insert_json5(name, json.dumps(value))
     with zenoh.open(config) as session:
-        publish(session, f"fleet/{options.vehicle}", options.count)
+        publish(session, options.vehicle, options.count)
     print(f"{options.vehicle}: all sent")
     return 0
 
 
-def publish(session: zenoh.Session, prefix: str, count: int) -> None:
+def publish(session: zenoh.Session, vehicle: str, count: int) -> None:
     """Put profile, history, liveliness token and ``count`` live samples."""
-    profile = publisher(session, f"{prefix}/profile", PROFILE_ENCODING, cache=1)
-    states = publisher(session, f"{prefix}/state", STATE, cache=WINDOW + 64)
+    profile = publisher(session, f"fleet/{vehicle}/profile", PROFILE_ENCODING, cache=1)
+    states = publisher(session, f"fleet/{vehicle}/state", STATE, cache=WINDOW + 64)
     # msgpack keeps the order of a dict: that of the states and inputs is the order of x and u.
     profile.put(msgpack.packb(PROFILE))
     # A start that comes later has a greater epoch, and its samples count from 0.
@@ -87,7 +87,7 @@ def publish(session: zenoh.Session, prefix: str, count: int) -> None:
         x, u = next(samples)
         flags = HISTORY | (NEW_TRAJECTORY if seq == 0 else 0)
         states.put(state_message(epoch, seq, epoch + (seq - WINDOW) * step, x, u, flags))
-    token = session.liveliness().declare_token(f"{prefix}/alive")
+    token = session.liveliness().declare_token(f"fleet/{vehicle}/alive")
     for number, (x, u) in enumerate(samples):
         if count and number == count:
             break
