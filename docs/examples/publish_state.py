@@ -124,7 +124,7 @@ def drive(chance: random.Random) -> Iterator[tuple[list[float], list[float]]]:
     x = [1.0, 0.0, 0.0, 0.8]
     k = 0
     while True:
-        # Around the middle, and to and fro: from inputs that only follow the state no model can be learned.
+        # Around the middle, and back and forth: from inputs that only follow the state no model can be learned.
         swings = 0.6 * math.sin(0.37 * k), 0.6 * math.cos(0.61 * k)
         u = [swing - 0.64 * x[i] - 0.1 * x[i + 2] for i, swing in enumerate(swings)]
         u = [min(1.5, max(-1.5, a)) for a in u]
