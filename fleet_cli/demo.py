@@ -25,6 +25,8 @@ READY_SECONDS = 60.0
 VEHICLES_A_PROCESS = 50
 #: Scenarios of the demo with the routes that obey them, and one that does not.
 ROUTES = {
+    "convoy": ("convoy", "parking-lot"),
+    "intersection": ("intersection", "parking-lot"),
     "parking-lot": ("parking-lot", "roundabout"),
     "parking-lot-motion": ("parking-lot", "roundabout"),
     "roundabout": ("roundabout", "parking-lot"),

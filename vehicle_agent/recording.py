@@ -28,7 +28,7 @@ class Recording:
     Attributes:
         t: time in s (T,), strictly increasing within a segment.
         x: states (T, n), finite, in ``state_units``.
-        u: inputs (T, m) in force at or before t, in ``input_units``; NaN = not recorded.
+        u: inputs (T, m) in force from t on, the last ones given until then, in ``input_units``; NaN = not recorded.
         segment: number of the segment of each row (T,).
         state_names, state_units: n names and units.
         input_names, input_units: m names and units.

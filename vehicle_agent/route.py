@@ -39,19 +39,27 @@ class Disc(_Part):
     radius: Annotated[float, Field(gt=0)]
 
 
+class Ring(_Part):
+    """All points whose distance (m) from ``center`` (x, y) m lies in the interval ``radius``."""
+
+    center: tuple[float, float]
+    radius: Interval
+
+
 class Zone(_Part):
-    """A box or disc that the position stays in for ``start`` ≤ t ≤ ``end`` (s, both included)."""
+    """A box, disc or ring that the position stays in for ``start`` ≤ t ≤ ``end`` (s, both included)."""
 
     name: str
     start: Seconds
     end: Seconds
     box: Box | None = None
     disc: Disc | None = None
+    ring: Ring | None = None
 
     @model_validator(mode="after")
     def _one_form(self) -> "Zone":
-        if (self.box is None) == (self.disc is None):
-            raise ValueError("give either box or disc")
+        if sum(form is not None for form in (self.box, self.disc, self.ring)) != 1:
+            raise ValueError("give one of box, disc and ring")
         if self.end < self.start:
             raise ValueError(f"the window [{self.start}, {self.end}] s is reversed")
         return self
@@ -61,6 +69,10 @@ class Zone(_Part):
         distance: NDArray[np.float64]
         if self.disc is not None:
             distance = self.disc.radius - np.hypot(*np.moveaxis(points - self.disc.center, -1, 0))
+            return distance
+        if self.ring is not None:
+            away = np.hypot(*np.moveaxis(points - self.ring.center, -1, 0))
+            distance = np.minimum(away - self.ring.radius[0], self.ring.radius[1] - away)
             return distance
         assert self.box is not None
         sides = [np.full(points.shape[:-1], np.inf)]

@@ -14,7 +14,10 @@ from fleet_lab.files import check_picture, check_writable, write_json
 def demo(
     scenario: Annotated[
         str,
-        typer.Option(help="parking-lot, parking-lot-motion or roundabout.", autocompletion=completion.demo_scenarios),
+        typer.Option(
+            help="convoy, intersection, parking-lot, parking-lot-motion or roundabout.",
+            autocompletion=completion.demo_scenarios,
+        ),
     ] = "parking-lot",
     vehicles: Annotated[int, typer.Option(help="Simulated vehicles.", min=1, max=200)] = 4,
     stray: Annotated[int, typer.Option(help="How many of them leave the scenario.", min=0)] = 0,

@@ -33,6 +33,18 @@ STATED = (
      "recordings", "F1TENTH, Koopman, calibrated", "worst run %", 86.0, 89.0),
     ("concepts/guarantees.md", "All runs together are above 99 % at every step",
      "recordings", "F1TENTH, Koopman, calibrated", "inside, least %", 99.0, 100.0),
+    ("concepts/methods.md", "about 2.2 times as wide after ten steps",
+     "containment", "linear, set_membership", "width, 10", 2.1, 2.3),
+    ("concepts/methods.md", "those of `lti` about 3.5 times", "containment", "linear, lti", "width, 10", 3.4, 3.6),
+    ("concepts/methods.md", "it is about 20 times", "containment", "bicycle, body frame, set_membership", "width, 10",
+     18.0, 22.0),
+    ("concepts/methods.md", "with the hull of the residuals about 58 times",
+     "containment", "bicycle, body frame, residual_hull", "width, 10", 55.0, 61.0),
+    ("concepts/methods.md", "After one step it is about 2.8 times",
+     "containment", "bicycle, body frame, set_membership", "width, 1", 2.7, 2.9),
+    ("concepts/methods.md", "about 0.0002 m² instead",
+     "recordings", "DART, calibrated", "published, last", 1.5e-4, 2.5e-4),
+    ("concepts/methods.md", "instead of about 0.9 m²", "recordings", "DART, paper", "published, last", 0.85, 0.95),
 )  # fmt: skip
 
 

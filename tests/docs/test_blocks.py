@@ -15,6 +15,7 @@ from fleet_bus.messages import parse_profile
 from fleet_cli.main import app
 from side_info import Scenario
 from tests.docs.test_docs import DOCS, PAGES, ROOT, blocks, commands, options_of, page, section
+from vehicle_agent.route import Route
 
 TEXTS = [ROOT / "README.md", *PAGES]
 FLEET = typer.main.get_command(app)
@@ -129,6 +130,8 @@ def test_documents_on_the_pages_load(path: Path) -> None:
         fields = yaml.safe_load(text)
         if "class" in fields:
             parse_profile(fields, path.name)
+        elif "route" in fields:
+            Route.model_validate(fields)
         else:
             Scenario.parse(text, path.name)
 

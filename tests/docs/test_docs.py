@@ -46,7 +46,12 @@ PACKAGES = (
 PAGES = sorted(DOCS.rglob("*.md"))
 KEY = re.compile(r"(?<![\w.])([A-Z][A-Za-z]*\+?\d\d)(?!\w)")
 REFERENCE = re.compile(r"^\d+\. \*\*\[([^\]]+)\]\*\*", re.M)
-EXAMPLE = DOCS / "examples" / "read_tube.py"
+#: Examples, and the guides that show them.
+SHOWN = {
+    "publish_state.py": "publish-states.md",
+    "read_tube.py": "read-a-tube.md",
+    "read_verdicts.py": "write-a-scenario.md",
+}
 
 
 def page(name: str) -> str:
@@ -226,8 +231,10 @@ def test_the_profile_of_the_guide_is_one_and_fits_its_recording(
     assert selected.state_names == profile.state_names
 
 
-def test_the_guide_shows_the_whole_example() -> None:
-    assert EXAMPLE.read_text(encoding="utf-8") in blocks(DOCS / "how-to" / "read-a-tube.md", "python")
+@pytest.mark.parametrize(("example", "guide"), SHOWN.items())
+def test_the_guide_shows_the_whole_example(example: str, guide: str) -> None:
+    text = (DOCS / "examples" / example).read_text(encoding="utf-8")
+    assert text in blocks(DOCS / "how-to" / guide, "python")
 
 
 @pytest.mark.parametrize("path", sorted((DOCS / "examples").glob("*.py")), ids=lambda path: path.stem)

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from fleet_cli.demo import ROUTES
 from tests.integration.conftest import read_json, run_fleet
 
 pytestmark = pytest.mark.integration
 
 
-@pytest.mark.parametrize("scenario", ["parking-lot", "parking-lot-motion", "roundabout"])
+@pytest.mark.parametrize("scenario", sorted(ROUTES))
 def test_demo_holds_what_it_promises(scenario: str, tmp_path: Path) -> None:
     summary_file, picture = tmp_path / "out.json", tmp_path / "demo.png"
     done = run_fleet(

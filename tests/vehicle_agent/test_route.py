@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from fleet_bus.errors import UsageError
-from vehicle_agent.route import Box, Disc, Route, Zone, load_route, route_names
+from vehicle_agent.route import Box, Disc, Ring, Route, Zone, load_route, route_names
 
 FIELDS: dict[str, Any] = {
     "route": "test",
@@ -19,7 +19,7 @@ FIELDS: dict[str, Any] = {
 
 
 def test_both_scenarios_of_the_paper_ship() -> None:
-    assert route_names() == ("parking-lot", "roundabout")
+    assert route_names() == ("convoy", "intersection", "parking-lot", "roundabout")
     parking, roundabout = load_route("parking-lot"), load_route("roundabout")
     zones = {zone.name: zone for route in (parking, roundabout) for zone in route.zones}
     assert (parking.duration, roundabout.duration) == (40.0, 14.0)
@@ -39,6 +39,8 @@ def test_clearance() -> None:
     disc = Zone(name="d", start=0, end=1, disc=Disc(center=(0.0, 0.0), radius=1.0))
     np.testing.assert_allclose(box.clearance(points), [1.0, 0.1, -1.0])
     np.testing.assert_allclose(disc.clearance(points), [1.0, 0.1, 1 - np.hypot(2, 0.5)])
+    ring = Zone(name="r", start=0, end=1, ring=Ring(center=(0.0, 0.0), radius=(0.5, 1.2)))
+    np.testing.assert_allclose(ring.clearance(points), [-0.5, 0.3, 1.2 - np.hypot(2, 0.5)])
 
 
 def test_windows_are_closed_and_widened_by_the_slack() -> None:
@@ -59,7 +61,11 @@ def test_windows_are_closed_and_widened_by_the_slack() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"zones": [{"name": "z", "start": 0, "end": 1}]}, "give either box or disc"),
+        ({"zones": [{"name": "z", "start": 0, "end": 1}]}, "give one of box, disc and ring"),
+        (
+            {"zones": [{"name": "z", "start": 0, "end": 1, "box": {}, "ring": {"center": [0, 0], "radius": [1, 2]}}]},
+            "give one of box, disc and ring",
+        ),
         ({"zones": [{"name": "z", "start": 2, "end": 1, "box": {}}]}, "reversed"),
         ({"way_points": FIELDS["way_points"][:1]}, "way_points"),
         ({"duration": "forty"}, "duration"),
@@ -81,7 +87,7 @@ def test_files_and_names(tmp_path: Path) -> None:
     path = tmp_path / "route.yaml"
     path.write_text(yaml.safe_dump(FIELDS))
     assert load_route(path).route == "test"
-    with pytest.raises(UsageError, match="there are parking-lot, roundabout"):
+    with pytest.raises(UsageError, match="there are convoy, intersection, parking-lot, roundabout"):
         load_route("motorway")
     with pytest.raises(UsageError, match="cannot be read"):
         load_route(tmp_path / "missing.yaml")
