@@ -87,6 +87,18 @@ def _ratio(step: StepFigures, base: StepFigures) -> str:
     return number(step.area_equal / base.area_equal)
 
 
+def _served(summary: Mapping[str, Any]) -> str:
+    """What share of the samples got a tube, and why not all."""
+    tubes, samples = summary["tubes"], summary["samples"]
+    share = f"{100 * tubes / samples:.0f} %" if samples else "none"
+    why = (
+        ": the newest of a round, and played faster than real time a round takes several"
+        if summary["speed"] > 1
+        else ""
+    )
+    return f"samples that got a tube: {tubes} of {samples} ({share}){why}"
+
+
 def print_summary(summary: Mapping[str, Any]) -> None:
     """The closing report of the demo."""
     console = Console()
@@ -111,6 +123,7 @@ def print_summary(summary: Mapping[str, Any]) -> None:
             f"mean area {where}: {area['with']:.4g} m² with side information, {area['without']:.4g} m² without "
             f"({share:.2f} %)"
         )
+    lines.append(_served(summary))
     latency = summary["latency_ms"]
     lines.append(f"state to tube: {latency['p50']:.1f} ms median, {latency['p99']:.1f} ms 99 %")
     events = ", ".join(f"{count} {kind}" for kind, count in summary["events"].items()) or "none"
