@@ -1,5 +1,6 @@
 """Child processes of the demo: the same command, with its own options, watched and ended together."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -10,6 +11,7 @@ from tempfile import TemporaryFile
 from typing import IO, Self
 
 from fleet_bus.errors import FleetError
+from fleet_cli.commands.shared import ENDS_WITH_STDIN
 
 #: Seconds that a child has to end before it is killed.
 END_SECONDS = 5.0
@@ -23,8 +25,11 @@ class Child:
         self._errors: IO[bytes] = TemporaryFile()  # noqa: SIM115 - lives as long as the child
         self.process = subprocess.Popen(
             [sys.executable, "-m", "fleet_cli", *arguments],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
+            # However this process ends: the pipe ends with it, and with the pipe the child.
+            env={**os.environ, ENDS_WITH_STDIN: "1"},
             text=True,
             cwd=Path.cwd(),
         )
@@ -72,8 +77,9 @@ class Child:
         except subprocess.TimeoutExpired:
             self.process.kill()
             code = self.process.wait()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                pipe.close()
         return code
 
 

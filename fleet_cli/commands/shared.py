@@ -27,6 +27,8 @@ Metrics = Annotated[
 ]  # fmt: skip
 Routers = Annotated[list[str], typer.Option("--router", help="Endpoint of a router; may be given more than once.")]
 DEFAULT_ROUTERS = [DEFAULT_ROUTER]
+#: Variable by which a process that starts others has them end when their standard input does.
+ENDS_WITH_STDIN = "FLEET_ENDS_WITH_STDIN"
 
 
 def check_speed(speed: float) -> None:
@@ -58,7 +60,15 @@ def stop_on_signals() -> threading.Event:
         signal.signal(number, tell)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=watch, name="signals", daemon=True).start()
+    if os.environ.pop(ENDS_WITH_STDIN, ""):
+        threading.Thread(target=_stop_at_the_end_of_stdin, args=(stop,), name="parent", daemon=True).start()
     return stop
+
+
+def _stop_at_the_end_of_stdin(stop: threading.Event) -> None:
+    while os.read(0, 4096):
+        pass
+    stop.set()
 
 
 @contextmanager

@@ -2,8 +2,11 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +50,21 @@ def test_a_signal_that_another_thread_gets_ends_the_wait_of_the_main_thread() ->
     thread.start()
     assert stop.wait(60)
     thread.join()
+
+
+@pytest.mark.integration
+def test_what_a_demo_has_started_ends_with_it_even_if_it_is_killed() -> None:
+    demo = subprocess.Popen(
+        [sys.executable, "-m", "fleet_cli", "demo", "--headless", "--vehicles", "1", "--duration", "60"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert demo.stdout is not None
+    for line in demo.stdout:
+        if "simulated vehicles drive" in line:
+            break
+    children = set(Path(f"/proc/{demo.pid}/task/{demo.pid}/children").read_text(encoding="ascii").split())
+    assert len(children) >= 3
+    demo.kill()
+    demo.wait()
+    demo.stdout.close()
+    wait_until(lambda: not any(Path(f"/proc/{child}").exists() for child in children), 30.0)
