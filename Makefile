@@ -12,8 +12,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 INSTALL := .ci/install $(BIN)
 UV_VERSION := 0.13.9
 ARGS ?=
-# Tests run in so many processes; what runs in real time stays in one of them (tests/conftest.py).
-WORKERS := 2
+# Tests run in so many processes. What runs in real time stays in two of them (tests/conftest.py), which mostly wait: so
+# more than there are processors.
+WORKERS := 3
 PYTEST = $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo paper test test-fast coverage wheel dist campaign lint bench docs requirements clean kernels all-kernels

@@ -80,8 +80,8 @@ def in_real_time(path: Path) -> bool:
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     """Workers share a session by files, so that what the tests of one have in common is computed once.
 
-    All files that run in real time count as one: they do not slow each other down. (Not by ``--dist loadgroup``: that
-    puts groups into node ids, which pytest 9.2 no longer takes, and so groups nothing.)
+    All files that run in real time count as two, which mostly wait: so few do not slow each other down. (Not by
+    ``--dist loadgroup``: that puts groups into node ids, which pytest 9.2 no longer takes, and so groups nothing.)
     """
     if config.getoption("dist") != "loadfile":
         return None
@@ -90,7 +90,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     class Files(LoadFileScheduling):  # type: ignore[misc]
         def _split_scope(self, nodeid: str) -> str:
             name = nodeid.partition("::")[0]
-            return "real time" if in_real_time(config.rootpath / name) else name
+            if not in_real_time(config.rootpath / name):
+                return name
+            # About as long each.
+            return "real time, a to o" if Path(name).stem.removeprefix("test_") < "p" else "real time, p to z"
 
     return Files(config, log)
 

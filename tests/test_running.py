@@ -79,7 +79,7 @@ def test_kernels_are_compiled_before_the_tests_that_need_them_and_for_no_others(
     assert "kernels took" not in run(tmp_path, "def test_nothing(): pass\n")
 
 
-def test_workers_find_kernels_compiled_and_one_has_all_that_runs_in_real_time(tmp_path: Path) -> None:
+def test_workers_find_kernels_compiled_and_what_runs_in_real_time_stays_together(tmp_path: Path) -> None:
     pytest.importorskip("xdist")
     text = """
 import os, pytest
