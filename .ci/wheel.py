@@ -94,6 +94,16 @@ def install(wheel: Path, environment: Path) -> Path:
     return commands
 
 
+def python_of(version: str) -> str | None:
+    """A Python of a version that is on this machine, on the path or where pyenv keeps them, and that runs."""
+    kept = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
+    for found in (shutil.which(f"python{version}"), *map(str, reversed(kept))):
+        # What pyenv puts on the path runs only where that version is chosen.
+        if found is not None and not subprocess.run([found, "-c", ""], capture_output=True, check=False).returncode:
+            return found
+    return None
+
+
 def try_other_pythons(wheel: Path, folder: Path) -> None:
     """Install the wheel with its pinned dependencies for each newer Python on this machine, and import all of it."""
     uv = Path(sys.executable).with_name("uv")
@@ -104,15 +114,12 @@ def try_other_pythons(wheel: Path, folder: Path) -> None:
     wanted = [name for name in modules if name.partition(".")[0] not in ("benchmarks", "fleet_cli")]
     script = "import importlib, sys\nfor name in sys.argv[1:]: importlib.import_module(name)"
     for version in NEWER:
-        found = subprocess.run(
-            [uv, "python", "find", "--no-python-downloads", "--no-project", "--system", version],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        if found.returncode:
+        found = python_of(version)
+        if found is None:
             print(f"Python {version}: not on this machine")
             continue
         environment = folder / version
-        run(uv, "venv", "--quiet", "--python", found.stdout.strip(), environment, cwd=folder)
+        run(uv, "venv", "--quiet", "--python", found, environment, cwd=folder)
         subprocess.run(
             [ROOT / ".ci" / "install", Path(sys.executable).parent, "--require-hashes", "-r", PINNED],
             env={**os.environ, "INTO": str(environment / "bin" / "python")}, check=True,
