@@ -45,9 +45,13 @@ def intersect_zonotope(
     """
     n, k = generators.shape[-2], matrix.shape[-2]
     inside = [np.zeros((*generators.shape[:-2], n, k))]
-    own = generators @ np.swapaxes(generators, -1, -2)
+    # λ does not depend on the unit of both sets, their squares may not be numbers: a power of two rounds nothing.
+    largest = np.maximum(*(np.abs(g).max(axis=(-2, -1), initial=0.0) for g in (generators, other_generators)))
+    power = -np.frexp(largest)[1][..., None, None]
+    scaled, other_scaled = np.ldexp(generators, power), np.ldexp(other_generators, power)
+    own = scaled @ np.swapaxes(scaled, -1, -2)
     seen = matrix @ own @ np.swapaxes(matrix, -1, -2)
-    others = other_generators @ np.swapaxes(other_generators, -1, -2)
+    others = other_scaled @ np.swapaxes(other_scaled, -1, -2)
     for weight in (0.5, 0.1, 0.9):
         system = weight * seen + (1 - weight) * others
         trace = np.trace(system, axis1=-2, axis2=-1)[..., None, None]

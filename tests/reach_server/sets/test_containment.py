@@ -96,7 +96,8 @@ def test_meeting_in_the_plane_agrees_with_shapely(a: Raw, b: Raw, apart: float) 
     distance = first.distance(second) / size
     meets = bool(a.zonotope().intersects(moved))
     assert meets == bool(moved.intersects(a.zonotope()))
-    if distance > 1e-9:
+    # Of points far away the distance may be one of rounding alone.
+    if distance > 1e-9 and distance * size > 1e-13 * np.abs(a.c).max():
         assert not meets
     if distance == 0 and first.intersection(second).area > 1e-9 * size**2:
         assert meets

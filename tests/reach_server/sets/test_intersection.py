@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from shapely import MultiPoint
@@ -66,9 +66,27 @@ def test_preimages_keep_the_common_points(case: Raw, k: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(k, case.n))
     image = np.abs(matrix @ case.G).sum(axis=1)
+    # Of an image smaller than the rounding of its center nobody knows whether anything is common.
+    assume(not case.c.any() or (image > 1e-12 * np.abs(matrix) @ np.abs(case.c)).all())
     other = Raw("", matrix @ (case.c + 0.5 * case.G.sum(axis=1)), np.diag(image) / 2, np.zeros((0, k)), np.zeros(0))
     result = case.zonotope().intersection(other.zonotope(), matrix)
     assert_holds(of(result), common(case, other, matrix, 3), case)
+
+
+@pytest.mark.parametrize("exponent", [-320, -308, -158, -149, -20, 0, 20, 149])
+def test_a_preimage_does_not_depend_on_the_unit(exponent: int) -> None:
+    """Squares of such generators are zero, or infinite."""
+    unit = 10.0**exponent
+    rng = np.random.default_rng(3)
+    generators, matrix = rng.normal(size=(3, 4)) * unit, rng.normal(size=(2, 3))
+    case = Raw("", np.zeros(3), generators, np.zeros((0, 4)), np.zeros(0))
+    half = np.abs(matrix @ generators).sum(axis=1) / 4
+    other = Raw("", matrix @ generators.sum(axis=1) / 2, np.diag(half), np.zeros((0, 2)), np.zeros(0))
+    result = case.zonotope().intersection(other.zonotope(), matrix)
+    assert np.isfinite(result.center).all()
+    assert_holds(of(result), common(case, other, matrix, 3), case)
+    if exponent > -300:
+        assert np.abs(result.generators).sum() < np.abs(generators).sum()
 
 
 def test_planar_intersections_are_close_to_the_exact_ones() -> None:
